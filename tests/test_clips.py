@@ -155,3 +155,10 @@ def test_every_composition_of_assets_is_a_scene(tmp_path):
         facts = {"kind": "composed", "scene": scene, "take": take, "seed": 2}
         write_clip(clip_path(tmp_path, index), make_frames(), facts)
     assert ClipDataset(tmp_path).scenes() == {"composition 0, seed 2", "composition 1, seed 2"}
+
+
+def test_a_scene_file_is_one_scene_whatever_moves_in_it(tmp_path):
+    for index, kind in enumerate(["scene file", "calm scene file"]):
+        facts = {"kind": kind, "source": "kitchen", "generator": 3, "seed": 2}
+        write_clip(clip_path(tmp_path, index), make_frames(), facts)
+    assert ClipDataset(tmp_path).scenes() == {"kitchen"}

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SHOT = "shot"  # kind of the clips that are cut from frames on disk
+NAMED = ("scene file", "calm scene file", SHOT)  # kinds of clips whose scene has a name, their source
 REPEAT = "delete it and make it again: rtdenoise estimates"
 
 
@@ -152,7 +153,7 @@ def _stacked(tensors: list[Tensor]) -> Tensor:
 
 def _scene(path: Path, facts: dict) -> str:
     try:
-        if facts.get("kind") in ("scene file", SHOT):
+        if facts.get("kind") in NAMED:
             return str(facts["source"])
         if facts.get("kind") == "composed":
             return f"composition {facts['scene']}, seed {facts['seed']}"
