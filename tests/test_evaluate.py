@@ -23,6 +23,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, choose, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import Source, reference_errors
+from rtdenoise.evaluate.origin import commit
 from rtdenoise.evaluate.registry import DEFAULTS
 from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
 from rtdenoise.files import lock
@@ -303,6 +304,11 @@ def test_a_run_measures_and_leaves_out_with_reasons(shot, tmp_path, capsys, monk
     assert {path.stem for path in still.glob("*.exr")} == {*PLAIN, "reference"}
     told = capsys.readouterr().out
     assert "no input at 8 spp" in told and "`denoise` runs most in int8 here" in told
+
+
+def test_where_there_is_no_git_the_commit_is_unknown(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert commit() == "unknown"
 
 
 def test_two_runs_do_not_measure_into_one_folder(shot, tmp_path):

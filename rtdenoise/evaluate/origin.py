@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -48,12 +49,14 @@ def device_name(device: str | torch.device = "cpu") -> str:
 
 
 def commit() -> str:
-    """The commit, with -dirty where the code differs from it; `unknown` outside a repository of this project."""
+    """The commit, with -dirty where the code differs from it; `unknown` without git, and outside a repository of this
+    project."""
 
     def git(*arguments: str) -> str:
         return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True).stdout.strip()
 
-    if not (ROOT / "pyproject.toml").is_file():  # installed: a repository around it is another's
+    # Installed: a repository around it is another's. A copy without its history may be where there is no git.
+    if not (ROOT / "pyproject.toml").is_file() or not shutil.which("git"):
         return "unknown"
     changed = git("status", "--porcelain", "--", "rtdenoise", "shaders", "samples", "bench", ":!bench/results")
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
