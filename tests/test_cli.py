@@ -114,6 +114,12 @@ def test_no_bar_before_an_error(tmp_path, capsys):
     assert "working" in capsys.readouterr().out
 
 
+def test_names_are_printed_as_they_are(capsys):
+    with progress_bar("working") as bar:
+        bar.console.print("shots/a [final] :cat: [/b]", soft_wrap=True)
+    assert capsys.readouterr().out.startswith("shots/a [final] :cat: [/b]\n")
+
+
 def test_the_summary_counts_the_frames_of_all_runs():
     left_out = {"warp of history": 1, "tiles": 0}
     lines = told(Summary(written=0, skipped=3, left_out=left_out, cuts=[7], gaps=[(4, 4), (8, 9)]))

@@ -320,6 +320,11 @@ def test_the_facts(tmp_path):
     assert next_step(found).startswith("add normal: write it as normal.X, normal.Y, normal.Z")
 
 
+def test_names_of_folders_are_printed_as_they_are(tmp_path):
+    found = inspect(write_sequence(tmp_path / "shot [final] :cat:", make_frames(2)))
+    assert render_text(found).startswith(f"{tmp_path / 'shot [final] :cat:'}\n")
+
+
 def test_what_denoise_mends_layers_by_is_used():
     """A file that Blender wrote: alpha is denoised, the depth of paths tells of mirrors, the sky of fog."""
     ignored = inspect(CYCLES).ignored

@@ -88,10 +88,12 @@ def test_the_demo_leaves_pictures_and_numbers(shown):
     assert {path.suffix for path in folder.iterdir()} >= {".png", ".json"}
 
 
-def test_numbers_that_there_are_not_are_null(tmp_path):
-    shot = write_sequence(tmp_path / "shot", make_frames(2), without=("motion_next",))  # so nothing is known uncovered
-    demo(tmp_path / "out", shot, "color", ("noisy", "accumulate", "paper"))
-    text = (tmp_path / "out" / "demo.json").read_text()
+def test_numbers_that_there_are_not_are_null(tmp_path, capsys):
+    shot = write_sequence(tmp_path / "[a] shot", make_frames(2), without=("motion_next",))  # so nothing is uncovered
+    demo(tmp_path / "[final]", shot, "color", ("noisy", "accumulate", "paper"))
+    told = capsys.readouterr().out
+    assert "[a] shot: 2 frames" in told and f"pictures: {tmp_path / '[final]' / 'strip.png'}" in told
+    text = (tmp_path / "[final]" / "demo.json").read_text()
     assert "NaN" not in text
     assert json.loads(text)["results"][0]["errors"]["uncovered"]["psnr"] is None
 

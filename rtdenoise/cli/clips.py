@@ -121,7 +121,7 @@ class Clips:
             count = cut_clips(
                 self.shots, self.out, options, self.reference,
                 lambda done, total: bar.update(task, completed=done, total=total),
-                lambda line: bar.console.print(line, markup=False, highlight=False, soft_wrap=True),
+                lambda line: bar.console.print(line, soft_wrap=True),
             )  # fmt: skip
         print(f"{self.out}: {count} clips; DATA.md says what they are")
 
@@ -161,7 +161,7 @@ class Clips:
 
             def report(done: int, total: int, line: str) -> None:
                 bar.update(task, completed=done, total=total)
-                bar.console.print(line, highlight=False, soft_wrap=True)
+                bar.console.print(line, soft_wrap=True)
 
             card = render_clips(self.out, options, report)
         print(f"{self.out}: {card['clips']} clips; DATA.md says what they are")

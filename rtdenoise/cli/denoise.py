@@ -75,7 +75,7 @@ class Denoise:
             for done, (job, lines) in enumerate(results, start=1):
                 failed += isinstance(lines, InputError)
                 told_of = f"failed: {lines}" if isinstance(lines, InputError) else "; ".join(lines)
-                bar.console.print(f"{job[2]}: {told_of}", markup=False, highlight=False, soft_wrap=True)
+                bar.console.print(f"{job[2]}: {told_of}", soft_wrap=True)
                 bar.update(task, completed=done)
         if failed:
             others = "; the others are denoised" if failed < len(shots) else ""

@@ -61,14 +61,14 @@ class Evaluate:
             split_names(self.methods), split_names(self.precision), split_names(self.metrics), self.spp, signal,
             self.preset, self.frames, choose_device(self.device), self.reference,
         )  # fmt: skip
-        with progress_bar("evaluating", TextColumn("{task.description}")) as bar:
+        with progress_bar("evaluating", TextColumn("{task.description}", markup=False)) as bar:
             task = bar.add_task("", total=None)
 
             def on_step(label: str, done: int, total: int) -> None:
                 bar.update(task, description=label, completed=done, total=total)
 
             def say(line: str) -> None:
-                bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+                bar.console.print(line, soft_wrap=True)
 
             document = run(self.sources, out, options, say, on_step)
         own = automatic(options.device)

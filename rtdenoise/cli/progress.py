@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 
@@ -24,8 +25,9 @@ class Bar(Progress):
 
 
 def progress_bar(label: str, *more: ProgressColumn) -> Bar:
-    """A bar that says `label`; `more` columns follow after the remaining time."""
-    return Bar(TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), *more)
+    """A bar that says `label`; `more` columns follow after the remaining time. Its console prints text as it is."""
+    console = Console(markup=False, emoji=False, highlight=False)
+    return Bar(TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), *more, console=console)
 
 
 @contextmanager

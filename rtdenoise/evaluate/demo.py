@@ -49,7 +49,7 @@ def demo(
     document = {"signal": signal, "uncovered_share": share, "results": rows}
     write_atomically(out / "demo.json", (dumps(document, indent=1) + "\n").encode())
 
-    console = Console()
+    console = Console(markup=False, emoji=False)
     console.print(
         _table(results, f"{source.name}: {len(frames)} frames, 1 spp, {signal}; {share:.1%} of the pixels uncovered")
     )

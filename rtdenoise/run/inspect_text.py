@@ -63,11 +63,11 @@ def _words(option: str, value: str | bool) -> list[str]:
 
 def render_text(found: Inspection, verbose: bool = False) -> str:
     """The inspection as text for a terminal 120 characters wide; `verbose` also lists the work that nothing spares."""
-    console = Console(width=120, highlight=False, no_color=True)
+    console = Console(width=120, markup=False, emoji=False, highlight=False, no_color=True)
     with console.capture() as capture:
-        console.print(f"[bold]{found.source}[/bold]", soft_wrap=True)
+        console.print(found.source, style="bold", soft_wrap=True)
         for label, text in _summary(found, verbose):
-            console.print(f"  {label:<12} {text}", markup=False, soft_wrap=True)
+            console.print(f"  {label:<12} {text}", soft_wrap=True)
         table = Table(box=None, padding=(0, 2, 0, 0), title="layers", title_justify="left")
         for column in ("layer", "stored as", "from channels", "used for"):
             table.add_column(column)
