@@ -9,6 +9,7 @@ from synthetic import make_frames
 
 from rtdenoise.baselines import Accumulate, Oidn
 from rtdenoise.baselines.clamp import clamp_to_neighbourhood
+from rtdenoise.errors import InputError
 
 
 def test_accumulation_is_the_running_mean_until_alpha():
@@ -32,6 +33,16 @@ def test_accumulation_starts_anew_off_the_screen():
     away = second.motion + 1e4
     image, history = method.step(second.map(lambda t: away if t is second.motion else t), history)
     assert torch.equal(image, second.radiance) and history.length.max() == 1
+
+
+def test_a_history_that_cannot_be_fetched_is_one_line():
+    method = Accumulate()
+    first, second = make_frames(2)
+    _, history = method.step(replace(first, albedo=None, normal=None))
+    with pytest.raises(InputError, match="layer motion is missing"):
+        method.step(replace(second, motion=None), history)
+    with pytest.raises(InputError, match="pass history=None to start anew"):
+        method.step(second.crop(0, 0, 8, 8), history)
 
 
 @pytest.mark.parametrize("quality", ["high", "fast"])

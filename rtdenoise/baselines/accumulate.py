@@ -24,10 +24,11 @@ class Accumulate:
     window: int = 5  # its side in pixels, odd
 
     def step(self, frame: Frame, history: History | None = None) -> tuple[Tensor, History]:
-        """As `TemporalKPN.step`."""
+        """As `TemporalKPN.step`; features are not needed."""
         frame = sanitise(frame)
         output, length = frame.radiance, torch.ones_like(frame.radiance[:, :1])
         if history is not None:
+            frame.require("motion", previous=history.radiance)
             length = torch.where(on_screen(frame.motion), fetch(history.length, frame.motion), 0.0) + 1
             warped = warp(history.radiance, frame.motion)
             if self.clamp is not None:
