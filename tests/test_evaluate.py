@@ -591,6 +591,21 @@ def test_references_in_other_files(tmp_path, capsys):
         assert message in (error := capsys.readouterr().err) and error.count("\n") == 1
 
 
+def test_every_sequence_and_device_has_a_table_of_its_own(tmp_path):
+    for name, spp in (("one", 1), ("four", 4)):
+        shot = write_sequence(tmp_path / name, make_frames(2))
+        (shot / "samples.json").write_text(f'{{"spp": {spp}}}')
+    shots = [str(tmp_path / name) for name in ("one", "four")]
+    document = run(shots, tmp_path / "out", EvaluateOptions((*PLAIN, "paper"), metrics=("psnr",)))
+    text = markdown(payload(document))
+    assert "light, 1 and 4 spp, 2 sequences: one, four." in text and "In 0 of 4 comparisons" in text
+    assert "\n## one, 1 spp\n" in text and "\n## four, 4 spp\n" in text
+    for row in [row for row in document.results if row["sequence"] == "one"]:
+        document.put(row | {"device": "cuda"})
+    text = markdown(payload(document))
+    assert "\n## one, 1 spp, cpu\n" in text and "\n## one, 1 spp, cuda\n" in text
+
+
 def test_the_report_opens_in_a_browser(shot, tmp_path, monkeypatch, capsys):
     out, opened = tmp_path / "out", []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)

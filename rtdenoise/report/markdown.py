@@ -12,18 +12,18 @@ UNCOVERED = COLUMNS[:2]
 
 
 def markdown(data: dict) -> str:
-    """`page.payload` as GitHub Markdown, at the fewest samples per pixel."""
-    fewest = min(row["spp"] for row in data["rows"])
-    rows = [row for row in data["rows"] if row["spp"] == fewest]
+    """`page.payload` as GitHub Markdown, each sequence at its fewest samples per pixel."""
+    rows = _at_fewest(data["rows"])
+    samples = " and ".join(str(spp) for spp in sorted({row["spp"] for row in rows}))
     run = data["runs"][-1]
     parts = [
         "# Error against run time",
-        f"{data['signal']} light, {fewest} spp, {_count(len(data['sequences']), 'sequence')}: "
+        f"{data['signal']} light, {samples} spp, {_count(len(data['sequences']), 'sequence')}: "
         f"{', '.join(map(plain, data['sequences']))}. "
         f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. "
         "`report.html` has the pictures.",
         "![Error against time](report.png)",
-        _losses(data, fewest),
+        _losses(data, {(row["sequence"], row["spp"]) for row in rows}),
         *(_table(group, data) for group in _in_order(grouped(rows, "sequence", "device"))),
         _readings(data),
     ]
@@ -44,13 +44,26 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
+def _at_fewest(rows: list[dict]) -> list[dict]:
+    """The rows of each sequence at its fewest samples per pixel."""
+    fewest = {group[0]["sequence"]: min(row["spp"] for row in group) for group in grouped(rows, "sequence")}
+    return [row for row in rows if row["spp"] == fewest[row["sequence"]]]
+
+
+def _name(row: dict, data: dict) -> str:
+    """Its sequence, with samples and device where the report has several of these."""
+    several = [key for key in ("spp", "device") if len({r[key] for r in _at_fewest(data["rows"])}) > 1]
+    more = {"spp": f"{row['spp']} spp", "device": row["device"]}
+    return plain(", ".join([row["sequence"], *(more[key] for key in several)]))
+
+
 def _in_order(groups: list[list[dict]]) -> list[list[dict]]:
     return sorted(groups, key=lambda group: group[0]["sequence"] != POOL)
 
 
-def _losses(data: dict, spp: int) -> str:
-    lost = [row for row in data["lost"] if row["spp"] == spp]
-    won = [row for row in data["won"] if row["spp"] == spp]
+def _losses(data: dict, inputs: set[tuple[str, int]]) -> str:
+    """Of these (sequence, samples per pixel)."""
+    lost, won = ([row for row in data[key] if (row["sequence"], row["spp"]) in inputs] for key in ("lost", "won"))
     if not lost and not won:
         return ""
     lines = [
@@ -68,7 +81,7 @@ def _losses(data: dict, spp: int) -> str:
         metric = row["metric"]
         values = [write_number(metric, row[key]) for key in ("peer_value", "our_value")]
         lines.append(
-            f"| {plain(row['sequence'])} | {row['region']} | {METRICS[metric].label} | {plain(row['peer'])} | "
+            f"| {_name(row, data)} | {row['region']} | {METRICS[metric].label} | {plain(row['peer'])} | "
             f"{values[0]} | {values[1]} | {row['time_ratio']:.2f}× |"
         )
     return "\n".join(lines)
@@ -77,7 +90,7 @@ def _losses(data: dict, spp: int) -> str:
 def _table(group: list[dict], data: dict) -> str:
     ours = next((row["ms"]["median"] for row in group if row["label"] == data["ours"]), None)
     lines = [
-        f"## {plain(group[0]['sequence'])}",
+        f"## {_name(group[0], data)}",
         "",
         *_references(data["sequences"].get(group[0]["sequence"])),
         f"| | {' | '.join(METRICS[m].label for m in COLUMNS)} | "
