@@ -54,6 +54,15 @@ def test_inference_imports_no_training_rendering_or_plotting():
     assert result.returncode == 0, result.stderr
 
 
+def test_text_files_are_utf_8_on_every_system():
+    files = [*ROOT.rglob("*.py"), *(ROOT.parent / "examples").rglob("*.py")]
+    nodes = [(path, node) for path in files for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    calls = [(path, node) for path, node in nodes if isinstance(node, ast.Call)]
+    calls = [call for call in calls if getattr(call[1].func, "attr", "") in ("read_text", "write_text")]
+    told = [(path.name, node.lineno) for path, node in calls if "encoding" not in {word.arg for word in node.keywords}]
+    assert len(calls) > 10 and told == []
+
+
 def test_lines_of_c_and_shaders_fit():
     files = [*(ROOT / "ops" / "native").glob("*.[ch]"), *(ROOT.parent / "shaders").rglob("*.glsl")]
     lines = [(path, line) for path in files for line in path.read_text(encoding="utf-8").splitlines()]

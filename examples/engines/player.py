@@ -21,9 +21,9 @@ class Player:
 
     def __init__(self, folder, ctx):
         self.folder, self.ctx = Path(folder), ctx
-        self.export = json.loads((self.folder / "export.json").read_text())
+        self.export = json.loads((self.folder / "export.json").read_text(encoding="utf-8"))
         self.shaders = {
-            name: ctx.compute_shader((self.folder / shader["glsl"]).read_text())
+            name: ctx.compute_shader((self.folder / shader["glsl"]).read_text(encoding="utf-8"))
             for name, shader in self.export["shaders"].items()
         }
         self.buffers = {}

@@ -30,9 +30,9 @@ def cpu_limit(folder: Path = CGROUPS) -> int | None:
     """Processors that the control group of a container allows, rounded up; None without a limit. Linux only."""
     for file in ("cpu.max", "cpu/cpu.cfs_quota_us"):  # cgroup 2: "quota period"; cgroup 1: a file for each
         try:
-            words = (folder / file).read_text().split()
+            words = (folder / file).read_text(encoding="utf-8").split()
             if file != "cpu.max":
-                words += (folder / "cpu/cpu.cfs_period_us").read_text().split()
+                words += (folder / "cpu/cpu.cfs_period_us").read_text(encoding="utf-8").split()
             quota, period = (int(word) for word in words)
         except (OSError, ValueError):  # no such file, or "max"
             continue

@@ -122,5 +122,5 @@ def _compiler() -> str:
 def machine() -> str:
     """All that `-march=native` depends on: machines that share a home folder have different processors."""
     info = Path("/proc/cpuinfo")
-    lines = set(info.read_text().splitlines()) if info.exists() else set()
+    lines = set(info.read_text(encoding="utf-8").splitlines()) if info.exists() else set()
     return "\0".join([platform.platform(), *sorted(s for s in lines if s.startswith(("flags", "model", "Features")))])

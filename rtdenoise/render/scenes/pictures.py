@@ -35,7 +35,7 @@ class Pictures:
     def licence(self) -> str:
         """Text of the folder's licence file; "" without one."""
         found = [self.folder / name for name in LICENCES if (self.folder / name).is_file()]
-        return found[0].read_text(errors="replace") if found else ""
+        return found[0].read_text(encoding="utf-8", errors="replace") if found else ""
 
     def texture(self, name: str, rng: np.random.Generator) -> np.ndarray:
         """A random square of a picture as reflectance in [0.02, 0.92], `[SIZE, SIZE, 3]` float32, linear RGB; sides
