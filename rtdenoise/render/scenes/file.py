@@ -160,8 +160,8 @@ def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object
     name = entry.get("name", "extra")
     where = f"{where}: extra '{name}'"
     _check(entry, EXTRA_KEYS, where)
-    for key, known in (("shape", SHAPES), ("material", MATERIALS)):
-        if entry.get(key, next(iter(known))) not in known:
+    for key, known in (("shape", tuple(SHAPES)), ("material", MATERIALS)):
+        if entry.get(key, known[0]) not in known:
             raise InputError(f"{where}: {key} '{entry[key]}'; expected one of {', '.join(known)}")
     mesh = SHAPES[entry.get("shape", "sphere")](_number(entry | {"size": entry.get("size", 0.25)}, "size", where))
     if "at" in entry:
@@ -225,6 +225,8 @@ def _numbers(value, count: int, where: str, name: str) -> list:
         raise InputError(f"{where} = {value!r}: expected 0 or more")
     if name in FROM_0_TO_1 and not all(0 <= n <= 1 for n in numbers):
         raise InputError(f"{where} = {value!r}: expected 0 to 1")
+    if name == "seed" and not (isinstance(numbers[0], int) and numbers[0] >= 0):
+        raise InputError(f"{where} = {value!r}: expected a whole number from 0 on")
     if name == "axis" and not any(numbers):
         raise InputError(f"{where} = {value!r}: expected a direction")
     return numbers
