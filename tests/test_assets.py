@@ -1,5 +1,6 @@
 """Libraries of assets: their index, compositions of them, several takes of one scene, and holes in surfaces."""
 
+import itertools
 import json
 import os
 import re
@@ -28,7 +29,7 @@ from rtdenoise.render.scenes.composed import KINDS, Composer, compose
 from rtdenoise.render.scenes.extras import shapes_in_view
 from rtdenoise.render.scenes.file import open_file
 from rtdenoise.render.scenes.motions import CameraPath, Motion
-from rtdenoise.render.scenes.placing import plain
+from rtdenoise.render.scenes.placing import LONGEST, metres, plain
 from rtdenoise.render.scenes.scene import Object, Scene, Sun
 from rtdenoise.render.scenes.takes import compose_take, film_take
 from rtdenoise.render.stage import Stage
@@ -120,7 +121,8 @@ def test_an_index_is_read(folder):
         ("models", {"category": 3}, "a furniture table: category: expected text or a list of it, got 3"),
         *(
             ("models", {"bbox": box}, r"a furniture table: bbox: expected \[\[x, y, z\], \[x, y, z\]\], least and")
-            for box in ("box", [], [[0, 0, 0], [1, 1]], [[1, 1, 1], [0, 0, 0]], [[0, 0, 0], [1, 1, 10**400]], {})
+            for box in ("box", [], [[0, 0, 0], [1, 1]], [[1, 1, 1], [0, 0, 0]], [[0, 0, 0], [1, 1, 10**400]], {},
+                        [[1, 1, 1], [1, 1, 1]])
         ),
     ],
 )
@@ -129,6 +131,13 @@ def test_a_bad_entry_is_named(folder, kind, entry, complaint):
     with pytest.raises(InputError, match=complaint) as caught:
         read_library(folder)
     assert "\n" not in str(caught.value)
+
+
+def test_the_size_of_a_model_of_several_categories_is_that_of_one_in_every_process(folder):
+    change(folder, "models", category=["vehicle", "toy", "people"], unit=None)
+    asset = read_library(folder).models[0]
+    orders = itertools.permutations(sorted(asset.tags))
+    assert [metres(replace(asset, tags=order)).max() for order in orders] == pytest.approx([LONGEST["people"]] * 6)
 
 
 @pytest.mark.parametrize("models", [3, {}, [3], [None], ["table"], [[]]])

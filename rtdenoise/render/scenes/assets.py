@@ -125,7 +125,7 @@ def _is_box(value: object) -> bool:
         box = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         return False
-    return box.shape == (2, 3) and bool(np.isfinite(box).all() and (box[0] <= box[1]).all())
+    return box.shape == (2, 3) and bool(np.isfinite(box).all() and (box[0] <= box[1]).all() and (box[0] < box[1]).any())
 
 
 def attribution(asset: Asset) -> dict[str, str]:

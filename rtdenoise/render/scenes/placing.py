@@ -192,10 +192,11 @@ class Composer:
 
 
 def metres(asset: Asset) -> np.ndarray:
-    """[3] size of a model, with the usual size of its category where its unit is unknown."""
+    """[3] size of a model, with the usual size of its category, of several the first in `LONGEST`, where its unit is
+    unknown."""
     if asset.in_metres:
         return asset.extent
-    usual = next((LONGEST[tag] for tag in asset.tags if tag in LONGEST), 1.0)
+    usual = next((longest for tag, longest in LONGEST.items() if tag in asset.tags), 1.0)  # a set has no order
     return asset.extent * (usual / asset.extent.max())
 
 
