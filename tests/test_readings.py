@@ -67,6 +67,12 @@ def test_the_area_is_the_mean_ratio_over_budgets():
     assert compare(slow, MONTE_CARLO, 10.0)["area"] is None
 
 
+def test_the_area_is_by_time_where_more_samples_took_less():
+    ours = Curve((1, 2, 4), (1.0, 1.0, 1.0), (11.0, 12.0, 12.0))
+    peer = Curve((1, 2, 4), (2.0, 1.0, 0.5), (14.0, 12.0, 9.0))  # 15, 14, 13 ms with the rendering
+    assert compare(ours, peer, 1.0)["area"] == {"factor": pytest.approx(1, rel=0.05), "from": 13, "to": 15}
+
+
 def test_losses_are_told_from_wins_and_ablations_are_no_peers():
     rows = [row("paper", 24, 10), row("paper-spatial", 30, 10), row("oidn", 25, 5), row("svgf", 20, 5)]
     lost, won = losses_and_wins(rows, METHODS, "paper")

@@ -105,7 +105,8 @@ def compare(ours: Curve, peer: Curve, sample: float | None) -> dict:
 
 
 def _area(ours: Curve, peer: Curve, sample: float) -> dict | None:
-    (a, b), (t, u) = (ours.total(sample), peer.total(sample)), (np.log2(ours.cost), np.log2(peer.cost))
+    curves = (sorted(zip(curve.total(sample), np.log2(curve.cost), strict=True)) for curve in (ours, peer))
+    (a, t), (b, u) = (np.transpose(curve) for curve in curves)  # by time: cheap samples may cost less than times vary
     start, end = max(a.min(), b.min()), min(a.max(), b.max())
     if not start < end:
         return None
