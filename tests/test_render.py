@@ -438,8 +438,16 @@ def test_llvm_is_found_and_its_absence_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(stage, "find_llvm", lambda: None)
     monkeypatch.setattr("mitsuba.variant", lambda: None)
     monkeypatch.setattr("drjit.has_backend", lambda backend: False)
-    with pytest.raises(InputError, match="apt install libllvm19"):
+    with pytest.raises(InputError, match=r"apt install libllvm19, or name the library .* DRJIT_LIBLLVM_PATH"):
         start_mitsuba()
+    taken = []
+    monkeypatch.setattr("mitsuba.set_variant", taken.append)
+    monkeypatch.setattr("drjit.has_backend", lambda backend: backend.name == "LLVM")
+    with pytest.raises(InputError, match="LLVM 16 or newer"):  # what Mitsuba itself finds may be older
+        start_mitsuba()
+    monkeypatch.setattr(sys, "platform", "darwin")  # where it looks in other places than we do
+    start_mitsuba()
+    assert taken == ["llvm_ad_rgb"]
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     with pytest.raises(InputError, match=r"pip install 'rtdenoise\[render\]'"):
         start_mitsuba()

@@ -6,6 +6,7 @@ import contextlib
 import glob
 import os
 import re
+import sys
 from itertools import product
 from pathlib import Path
 
@@ -18,10 +19,11 @@ LLVM_PATTERNS = ("/usr/lib/*/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*", 
 
 
 def start_mitsuba(threads: int | None = None):
-    """The mitsuba module with a variant set: CUDA where it works, else LLVM. `threads`: CPU threads, None for all."""
-    llvm = None if "DRJIT_LIBLLVM_PATH" in os.environ else find_llvm()
-    if llvm:
-        os.environ["DRJIT_LIBLLVM_PATH"] = llvm
+    """The mitsuba module with a variant set: CUDA where it works, else LLVM, which is found by `find_llvm` on Linux and
+    by Mitsuba elsewhere. `threads`: CPU threads, None for all."""
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH") or find_llvm()
+    if chosen:
+        os.environ["DRJIT_LIBLLVM_PATH"] = chosen
     try:
         import drjit as dr
         import mitsuba as mi
@@ -30,10 +32,11 @@ def start_mitsuba(threads: int | None = None):
     if mi.variant() is None:
         if dr.has_backend(dr.JitBackend.CUDA):
             mi.set_variant("cuda_ad_rgb")
-        elif dr.has_backend(dr.JitBackend.LLVM) and (llvm or "DRJIT_LIBLLVM_PATH" in os.environ):
+        elif dr.has_backend(dr.JitBackend.LLVM) and (chosen or not sys.platform.startswith("linux")):
             mi.set_variant("llvm_ad_rgb")
         else:
-            raise InputError("rendering needs a CUDA device or LLVM 16 or newer, found neither: apt install libllvm19")
+            raise InputError("rendering needs a CUDA device or LLVM 16 or newer, found neither: apt install libllvm19, "
+                             "or name the library in the environment variable DRJIT_LIBLLVM_PATH")  # fmt: skip
         mi.set_log_level(mi.LogLevel.Error)
     if threads:
         dr.set_thread_count(threads)
