@@ -16,6 +16,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.files import lock
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.render import stage
+from rtdenoise.render.card import write_card
 from rtdenoise.render.clips import render_clips
 from rtdenoise.render.draw import MIN_UNCOVERED, probe
 from rtdenoise.render.frames import (
@@ -389,6 +390,13 @@ def test_clip_is_determined_by_its_seed(tmp_path):
         assert not first.radiance.equal(third.radiance)
     assert facts[0] | {"seconds": 0} == facts[1] | {"seconds": 0}
     assert read_facts(clip_path(tmp_path / "a", 0)) == facts[0]
+
+
+def test_a_clip_of_one_frame_uncovers_nothing(tmp_path):
+    """Seed 3 draws a scene that uncovers background from the second frame on."""
+    (facts,) = render_group(tmp_path, 0, replace(TINY, seed=3, frames=1))
+    assert (facts["kind"], facts["uncovered"]) == ("uncovering", 0.0)
+    assert write_card(tmp_path, "")["uncovered_share"]["mean"] == 0
 
 
 def test_clips_are_resumed_and_described(tmp_path):

@@ -23,7 +23,7 @@ from .scenes.scene import Scene
 from .scenes.sunlit import sunlit
 from .scenes.takes import compose_take, film_take
 from .stage import Stage
-from .windows import Survey, candidates, survey
+from .windows import Survey, candidates, mean, survey
 
 SCENE_SHARE = 0.5  # of the scenes that come from --scenes, where that is given,
 FILE_SHARE = 0.33  # and in sets with assets
@@ -41,8 +41,9 @@ MIN_UNCOVERED_IN_WINDOW = {"uncovering": 0.015, "entering": 0.01, "dark to light
 def probe(stage: Stage, frames: int) -> dict[str, float]:
     """Facts of a clip from its first hits alone, at 64×64.
 
-    `uncovered`: share of pixels that were hidden in the previous frame, mean over the frames; `sky`: share of pixels
-    without a hit; `near`: distance of the nearest twentieth; `speed`: of the fastest hundredth, in widths a frame.
+    `uncovered`: share of pixels that were hidden in the previous frame, mean over the frames, 0 for one; `sky`: share
+    of pixels without a hit; `near`: distance of the nearest twentieth; `speed`: of the fastest hundredth, in widths a
+    frame.
     """
     size = (64, 64)
     seen = [features(stage, n, size) for n in range(frames)]
@@ -51,7 +52,7 @@ def probe(stage: Stage, frames: int) -> dict[str, float]:
     depth = np.concatenate([f["depth"].ravel() for f in seen])
     speed = np.concatenate([np.linalg.norm(f["motion"], axis=-1).ravel() for f in seen]) / size[1]
     return {
-        "uncovered": float(np.mean(shares)),
+        "uncovered": mean(np.array(shares)),
         "sky": float((depth == 0).mean()),
         "near": float(np.quantile(depth[depth > 0], 0.05)) if (depth > 0).any() else 0.0,
         "speed": float(np.quantile(speed, 0.99)),
@@ -64,7 +65,7 @@ def draw_first(seed: int, frames: int = procedural.CLIP_FRAMES) -> tuple[Stage, 
         scene = procedural.procedural(seed, attempt)
         stage = Stage(scene)
         facts = scene.facts | probe(stage, frames)
-        wanted = MIN_UNCOVERED if facts["kind"] == "uncovering" else 0.0
+        wanted = MIN_UNCOVERED if facts["kind"] == "uncovering" and frames > 1 else 0.0
         good = facts["uncovered"] >= wanted and facts["sky"] < 0.75 and facts["near"] > 0.3 and facts["speed"] < 0.25
         last = attempt == MAX_ATTEMPTS[1] - 1
         if good or last:
