@@ -108,6 +108,8 @@ def test_weights_that_changed_are_measured_again(shot, tmp_path):
         (["reference={file}"], "and not 'reference'"),
         (["paper={file}"], "another method is called 'paper'"),
         (["a={file}", "a={copy}"], "another method is called 'a'"),
+        (["oidn+shrinkge"], r"no model 'shrinkge' \(did you mean 'shrinkage'\?\): expected one of shrinkage, combiner"),
+        (["oidn+dc:nowhere.safetensors"], "no model 'nowhere.safetensors': expected one of shrinkage"),
     ],
 )
 def test_what_cannot_be_a_method(asked, message, tmp_path):

@@ -113,6 +113,8 @@ def choose(names: Iterable[str]) -> list[Method]:
             raise InputError(f"{name}: methods that look ahead are measured as they are; rtdenoise combine corrects "
                              "their frames")  # fmt: skip
         if plus and base in known and name not in known:
+            if combiner != SHRINKAGE:
+                find(combiner.removeprefix("dc:"), (SHRINKAGE, *available_combiners()))
             method = _corrected(known[base], combiner)
         elif ahead and ahead[1] in known:
             method = _ahead(known[ahead[1]], int(ahead[2]))
