@@ -591,11 +591,11 @@ def test_a_corrected_method_looks_ahead_and_ends_with_the_shot(tmp_path):
     save(create(SMALL["ours"]), tmp_path / "small.safetensors")
     (method,) = choose([f"svgf+{tmp_path / 'small.safetensors'}"])
     assert (method.name, method.delay) == ("svgf+small", 2)
-    frames = make_frames(6, H=16, W=16)
-    images = [output.image for output in outputs(method.step(), frames, method.delay, cuts=[4])]
-    estimates = [output.image for output in outputs(choose(["svgf"])[0].step(), frames, cuts=[4])]
+    frames = make_frames(7, H=16, W=16)
+    images = [output.image for output in outputs(method.step(), frames, method.delay, cuts=[4, 6])]
+    estimates = [output.image for output in outputs(choose(["svgf"])[0].step(), frames, cuts=[4, 6])]
     model = load_combiner(tmp_path / "small.safetensors")
-    for i, shot in ((1, range(4)), (3, range(4)), (4, range(4, 6))):
+    for i, shot in ((1, range(4)), (3, range(4)), (4, range(4, 6)), (5, range(4, 6)), (6, range(6, 7))):
         places = [p if p in shot else None for p in range(i - 2, i + 3)]
         window = Window(*(tuple(None if p is None else part[p] for p in places) for part in (frames, estimates)))
         assert torch.equal(images[i], model.combine(window).image)

@@ -34,7 +34,10 @@ class Corrected:
         if frame is not None:
             image, before = self.denoise(frame, before)
             item = frame, image
-        held = (*held[1:], item)
+        held, middle = (*held[1:], item), self.offsets.index(0)
+        if frame is None:  # the end of a shot, whose first frame is yet to come where it is shorter than the delay
+            early = next((i for i, (there, _) in enumerate(held[middle:]) if there is not None), 0)
+            held = (*held[early:], *held[:early])
         window = Window(*zip(*held, strict=True))
-        missing = window.frames[self.offsets.index(0)] is None
+        missing = window.frames[middle] is None
         return None if missing else self.combine(window).image, (before, held)
