@@ -90,9 +90,10 @@ def test_the_demo_leaves_pictures_and_numbers(shown):
 
 def test_numbers_that_there_are_not_are_null(tmp_path, capsys):
     shot = write_sequence(tmp_path / "[a] shot", make_frames(2), without=("motion_next",))  # so nothing is uncovered
+    (shot / "samples.json").write_text('{"spp": 4}')
     demo(tmp_path / "[final]", shot, "color", ("noisy", "accumulate", "paper"))
     told = capsys.readouterr().out
-    assert "[a] shot: 2 frames" in told and f"pictures: {tmp_path / '[final]' / 'strip.png'}" in told
+    assert "[a] shot: 2 frames, 4 spp" in told and f"pictures: {tmp_path / '[final]' / 'strip.png'}" in told
     text = (tmp_path / "[final]" / "demo.json").read_text()
     assert "NaN" not in text
     assert json.loads(text)["results"][0]["errors"]["uncovered"]["psnr"] is None

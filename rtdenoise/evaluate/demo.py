@@ -15,6 +15,7 @@ from ..files import dumps, replacing, write_atomically
 from ..frame import Frame
 from ..run.preview import animate, strip
 from . import METRICS, REGIONS, Result, evaluate, uncovered
+from .inputs import Source
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "mural"  # in a source tree
 WINDOW = Path(__file__).parents[1] / "sample" / "mural-window"  # in an installed package: a part of the same frames
@@ -40,9 +41,10 @@ def demo(
     if not source.is_dir():
         raise InputError(f"{source}: no such folder; expected a sequence with references")
     frames = list(open_sequence(source, signal=signal, layers=("reference", "reference_half")))
-    results = evaluate(frames, methods)
     out.mkdir(parents=True, exist_ok=True)
-    animation = _draw(out, frames, {result.method: result for result in results}, methods[-1])
+    results = evaluate(frames, methods)
+    noisy = f"{Source.open(source, signal, 'auto', None).spp} spp"
+    animation = _draw(out, frames, {result.method: result for result in results}, methods[-1], noisy)
     masks = uncovered(frames)[1:]
     share = sum(mask.float().mean().item() for mask in masks) / max(len(masks), 1)
     rows = [{"method": r.method, "errors": r.errors, "median_step_ms": round(1000 * r.seconds, 1)} for r in results]
@@ -51,19 +53,19 @@ def demo(
 
     console = Console(markup=False, emoji=False)
     console.print(
-        _table(results, f"{source.name}: {len(frames)} frames, 1 spp, {signal}; {share:.1%} of the pixels uncovered")
+        _table(results, f"{source.name}: {len(frames)} frames, {noisy}, {signal}; {share:.1%} of the pixels uncovered")
     )
     console.print(f"pictures: {out / 'strip.png'}, {animation}; numbers: {out / 'demo.json'}", soft_wrap=True)
     return results
 
 
-def _draw(out: Path, frames: list[Frame], results: dict[str, Result], ours: str) -> Path:
-    """Write strip.png and the animation; returns the latter."""
+def _draw(out: Path, frames: list[Frame], results: dict[str, Result], ours: str, noisy: str) -> Path:
+    """Write strip.png and the animation; returns the latter. `noisy`: the label of the input."""
     scale = display_exposure(frames[0].reference)
     strips = [
         strip(
             {
-                "1 spp": frame.radiance,
+                noisy: frame.radiance,
                 "accumulate": results["accumulate"].images[i],
                 "rtdenoise": results[ours].images[i],
                 "reference": frame.reference,
