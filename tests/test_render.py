@@ -141,6 +141,13 @@ def test_radiance_agrees_with_mitsubas_path_integrator(room):
     assert indirect.mean() > 0.15 * beauty.mean()
 
 
+def test_a_picture_of_more_pixels_than_rays_in_flight_is_the_same(room, monkeypatch):
+    whole = radiance(room, 4, SIZE, 1, 1, 0, max_depth=3)
+    monkeypatch.setattr("rtdenoise.render.frames.MAX_RAYS", SIZE[0] * SIZE[1] - 1)
+    for one, other in zip(whole, radiance(room, 4, SIZE, 1, 1, 0, max_depth=3), strict=True):
+        assert np.array_equal(one, other)
+
+
 def test_noisy_frame_is_an_unbiased_view_of_the_reference(shot):
     for layers in shot[2]:
         for noisy, clean in (("color", "reference"), ("indirect", "indirect_reference")):

@@ -124,7 +124,8 @@ def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> di
 
 
 def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, max_depth: int):
-    """(beauty, indirect), [H, W, 3] each, from `spp` samples a pixel; at most `MAX_RAYS` rays are in flight."""
+    """(beauty, indirect), [H, W, 3] each, from `spp` samples a pixel; at most `MAX_RAYS` rays are in flight, or one a
+    pixel."""
     mi = start_mitsuba()
     import drjit as dr
 
@@ -132,7 +133,7 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
 
     stage.at(number)
     camera = stage.scene.camera(number)
-    pieces = int(np.ceil(spp * size[0] * size[1] / MAX_RAYS))
+    pieces = min(int(np.ceil(spp * size[0] * size[1] / MAX_RAYS)), spp)
     total = np.zeros((2, *size, 3))
     for piece, samples in enumerate(np.diff(np.linspace(0, spp, pieces + 1).astype(int))):
         key = (seed, number, stream) if piece == 0 else (seed, number, stream, piece)
