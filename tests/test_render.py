@@ -37,6 +37,7 @@ from rtdenoise.render.scenes.sample import sample
 from rtdenoise.render.scenes.scene import Material, Object, Scene, Sun
 from rtdenoise.render.sequence import render_sequence, write_scene_json
 from rtdenoise.render.stage import Stage, find_llvm, start_mitsuba
+from rtdenoise.render.streams import NOISY
 
 SIZE = (64, 96)
 OPTIONS = RenderOptions(size=SIZE, reference_spp=64, seed=3)
@@ -146,6 +147,14 @@ def test_a_picture_of_more_pixels_than_rays_in_flight_is_the_same(room, monkeypa
     monkeypatch.setattr("rtdenoise.render.frames.MAX_RAYS", SIZE[0] * SIZE[1] - 1)
     for one, other in zip(whole, radiance(room, 4, SIZE, 1, 1, 0, max_depth=3), strict=True):
         assert np.array_equal(one, other)
+
+
+def test_light_and_features_share_their_rays_also_in_pieces(room, monkeypatch):
+    """Light that nothing has reflected is what the surfaces of the features emit."""
+    monkeypatch.setattr("rtdenoise.render.frames.MAX_RAYS", 3 * SIZE[0] * SIZE[1])
+    emitted, _ = radiance(room, 4, SIZE, 8, 1, NOISY, max_depth=1)
+    seen = features(room, 4, SIZE, 8, 1)["emission"]
+    assert emitted.std() > 0.05 and np.allclose(seen, emitted, rtol=1e-4, atol=1e-6)
 
 
 def test_noisy_frame_is_an_unbiased_view_of_the_reference(shot):

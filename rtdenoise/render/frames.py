@@ -9,7 +9,7 @@ lamps and sky have their radiance, clipped to [0, 1], as albedo.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,12 +92,19 @@ def grey(image: np.ndarray) -> np.ndarray:
     return luminance(_tensor(image))[0, 0].numpy()
 
 
-def _image(value, size, spp: int, first: bool = False) -> np.ndarray:
-    """A wavefront value as [H, W, C] float32: the mean over a pixel's samples, or the first of them."""
+def _samples(value, size, spp: int) -> np.ndarray:
+    """A wavefront value as [H, W, spp, C] float32."""
     array = np.array(value, np.float32)
     array = array.T if array.ndim == 2 else array[:, None]
-    array = array.reshape(*size, spp, -1)
-    return np.ascontiguousarray(array[:, :, 0] if first else array.mean(2, dtype=np.float64).astype(np.float32))
+    return array.reshape(*size, spp, -1)
+
+
+def _wavefronts(size, spp: int, *key: int) -> Iterator[tuple[int, int]]:
+    """(seed, samples a pixel) of the pieces in which `spp` samples a pixel are traced: at most `MAX_RAYS` rays are in
+    flight, or one a pixel."""
+    pieces = min(int(np.ceil(spp * size[0] * size[1] / MAX_RAYS)), spp)
+    for piece, samples in enumerate(np.diff(np.linspace(0, spp, pieces + 1).astype(int)).tolist()):
+        yield stream_seed(*key) if piece == 0 else stream_seed(*key, piece), samples
 
 
 def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> dict[str, np.ndarray]:
@@ -107,11 +114,17 @@ def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> di
 
     stage.at(number)
     camera = stage.scene.camera(number)
-    sampler = tracing.make_sampler(stream_seed(seed, number, NOISY), size[0] * size[1] * spp)
-    ray = tracing.primary_rays(sampler, size, spp, camera)
-    hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
-    layers = {k: _image(hit[k], size, spp) for k in ("albedo", "normal", "emission")}
-    layers |= {k: _image(hit[k], size, spp, first=True) for k in ("depth", "position", "id")}
+    layers: dict[str, np.ndarray] = {}
+    for key, samples in _wavefronts(size, spp, seed, number, NOISY):
+        sampler = tracing.make_sampler(key, size[0] * size[1] * samples)
+        ray = tracing.primary_rays(sampler, size, samples, camera)
+        hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
+        for k in ("albedo", "normal", "emission"):
+            mean = _samples(hit[k], size, samples).mean(2, dtype=np.float64)
+            layers[k] = layers.get(k, 0.0) + mean * (samples / spp)
+        for k in {"depth", "position", "id"} - layers.keys():
+            layers[k] = _samples(hit[k], size, samples)[:, :, 0]
+    layers = {k: np.ascontiguousarray(layer, np.float32) for k, layer in layers.items()}
     if stage.holes or camera.aperture > 0:  # rays start behind holes, or beside the middle of the lens
         distance = np.linalg.norm(layers["position"] - camera.to_world[:3, 3], axis=-1, keepdims=True)
         layers["depth"] = np.where(layers["id"] > 0, distance, 0).astype(np.float32)
@@ -124,8 +137,7 @@ def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> di
 
 
 def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, max_depth: int):
-    """(beauty, indirect), [H, W, 3] each, from `spp` samples a pixel; at most `MAX_RAYS` rays are in flight, or one a
-    pixel."""
+    """(beauty, indirect), [H, W, 3] each, from `spp` samples a pixel."""
     mi = start_mitsuba()
     import drjit as dr
 
@@ -133,16 +145,14 @@ def radiance(stage: Stage, number: int, size, spp: int, seed: int, stream: int, 
 
     stage.at(number)
     camera = stage.scene.camera(number)
-    pieces = min(int(np.ceil(spp * size[0] * size[1] / MAX_RAYS)), spp)
     total = np.zeros((2, *size, 3))
-    for piece, samples in enumerate(np.diff(np.linspace(0, spp, pieces + 1).astype(int))):
-        key = (seed, number, stream) if piece == 0 else (seed, number, stream, piece)
-        sampler = tracing.make_sampler(stream_seed(*key), int(size[0] * size[1] * samples))
-        ray = tracing.primary_rays(sampler, size, int(samples), camera)
+    for key, samples in _wavefronts(size, spp, seed, number, stream):
+        sampler = tracing.make_sampler(key, size[0] * size[1] * samples)
+        ray = tracing.primary_rays(sampler, size, samples, camera)
         light = tracing.trace(stage.mitsuba, sampler, ray, max_depth, stage.holes)
         dr.eval(light)  # once: the sums below would trace every channel anew
         if samples > 1:
-            light = [mi.Color3f(*(dr.block_sum(channel, int(samples)) for channel in part)) for part in light]
+            light = [mi.Color3f(*(dr.block_sum(channel, samples) for channel in part)) for part in light]
         total += [np.array(part).T.reshape(*size, 3) for part in light]
     direct, indirect = (total * stage.exposure / spp).astype(np.float32)
     return direct + indirect, indirect
