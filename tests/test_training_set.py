@@ -146,6 +146,16 @@ def test_scenes_are_mixed_in_with_their_licences(room, tmp_path):
     assert "A room by Nobody, CC0." in (tmp_path / "out" / "DATA.md").read_text()
 
 
+def test_a_scene_file_without_light_is_left_out(room, tmp_path, monkeypatch):
+    room.write_text(ROOM.replace('value="9"', 'value="0"'))
+    monkeypatch.setattr("rtdenoise.render.draw.SCENE_SHARE", 1.0)
+    lines = []
+    with pytest.raises(InputError, match="no clips found"):
+        options = replace(TINY, count=1, scenes=((str(room), ""),))
+        render_here(tmp_path / "set", options, lambda done, total, line: lines.append(line))
+    assert lines[-1] == "left out: 1 clips, from 0 on: nothing is seen in their scenes"
+
+
 def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):
     class Fixed:
         def __init__(self, seed):

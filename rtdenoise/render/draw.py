@@ -98,7 +98,8 @@ def draw_takes(group: int, options: ClipOptions, wanted: Collection[int]) -> Ite
     calm = options.calm > 0 and bool(rng.uniform() < options.calm)
     from_file = options.scenes and rng.uniform() < SCENE_SHARE
     draw = _draw_file if from_file else _draw_generated
-    yield 0, draw(group, options, calm, rng)
+    if take := draw(group, options, calm, rng):
+        yield 0, take
 
 
 def _draw_assets(
@@ -148,15 +149,16 @@ def _source(file: str, scene: Scene) -> dict:
     return {"source": scene.name, "licence": text, "kind": "scene file", "place": scene.name}
 
 
-def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take:
-    """One of the scene files; unless it is calm, with further objects that cross the view."""
+def _draw_file(group: int, options: ClipOptions, calm: bool, rng: np.random.Generator) -> Take | None:
+    """One of the scene files; unless it is calm, with further objects that cross the view. None where it is dark."""
     file, motion = options.scenes[rng.integers(len(options.scenes))]
     frames = options.filmed
     opened = open_file(Path(file), motion or None)
     scene = _papered(_at_rest(opened) if calm else dress(opened, rng, frames), options, group)
     stage = Stage(scene)
     found = survey(stage, frames, options.view)
-    calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)
+    if not np.isfinite(calibrate(stage, scene.facts.get("brightness", 0.5), frames // 2)["noise"]):
+        return None
     facts = scene.facts | _source(file, scene) | ({"kind": "calm scene file"} if calm else {})
     return Take(stage, found, options.view, options.length, facts)
 
