@@ -75,6 +75,31 @@ def test_names_of_shots(tmp_path, monkeypatch):
         find_shots((), out)
 
 
+def test_frames_that_a_shell_put_for_a_glob_are_no_shots(tmp_path, capsys):
+    """`denoise shot/*.exr`, without quotes: history would be lost, and nothing be said of it."""
+    for name in ("a/frame.0001.exr", "a/frame.0002.exr", "b/frame.0001.exr", "a/still.exr"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    frames = [str(path) for path in sorted((tmp_path / "a").glob("frame.*.exr"))]
+    with pytest.raises(SystemExit):
+        main(["denoise", *frames, "--out", str(tmp_path / "out")])
+    told = capsys.readouterr().err
+    assert "frame.0001.exr and frame.0002.exr: frames of one shot" in told and "or put the glob in quotes" in told
+    assert not (tmp_path / "out").exists()
+    for others in ((frames[0], str(tmp_path / "b" / "frame.0001.exr")), (frames[0], str(tmp_path / "a" / "still.exr"))):
+        assert list(find_shots(others, tmp_path / "out").values()) == list(others)
+    for others in (("shots/010", "shots/020"), ("scene0012.zip", "scene0013.zip")):  # one file holds a sequence
+        assert list(find_shots(others, tmp_path / "out").values()) == list(others)
+
+
+@pytest.mark.parametrize("command", [["denoise", "still.exr"], ["combine", "still.exr", "clean.exr"]])
+def test_out_that_is_called_like_a_picture(tmp_path, capsys, command):
+    with pytest.raises(SystemExit):
+        main([*command, "--out", str(tmp_path / "new.exr")])
+    assert "--out: expected a folder, in which a file has its name in the input" in capsys.readouterr().err
+    assert not (tmp_path / "new.exr").exists()
+
+
 def test_more_workers_than_cores_have_a_thread_each(tmp_path, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     place = Denoise((), tmp_path, workers=5)._place(shots=8)

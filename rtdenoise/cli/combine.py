@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..run.options import CombineOptions
-from .denoise import told, write_preview
+from .denoise import refuse_file, told, write_preview
 from .progress import frame_progress
 
 
@@ -35,6 +35,7 @@ class Combine:
         from ..run.combine import combine
         from ..run.memory import keep_freed
 
+        refuse_file(self.out)
         keep_freed()
         with frame_progress(self.progress, "combining") as on_frame:
             summary = combine(self.noisy, self.denoised, self.out, self.settings, self.overwrite, on_frame)

@@ -51,6 +51,7 @@ class Denoise:
             raise InputError(f"--workers: expected 1 or more, got {self.workers}")
         if self.ray and self.workers:
             raise InputError("--workers: is for processes of this machine; with --ray Ray shares out the shots")
+        refuse_file(self.out)
         shots = find_shots(self.sources, self.out)
         if shots is None and self.ray:
             raise InputError("--ray: shares out shots, and a sequence is one; name several, or a glob: 'shots/*'")
@@ -95,15 +96,22 @@ class Denoise:
         return Processes(workers, max(1, cores // workers))
 
 
+def refuse_file(out: Path) -> None:
+    """Raise InputError where --out is called like a picture: a folder of that name would come out."""
+    if out.suffix.lower() == ".exr" and not out.is_dir():
+        raise InputError(f"--out: expected a folder, in which a file has its name in the input; got {out}")
+
+
 def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
     """Name -> folder, or glob, of each of several shots; None where `sources` is one sequence. The name is that of the
     folder, with as much of its path as tells all shots apart.
 
-    Raises InputError where nothing is named, or a shot twice.
+    Raises InputError where nothing is named, a shot twice, or its frames as if they were shots.
     """
     if not sources:
         raise InputError("no sequence: name a folder of EXR files")
     folders = [folder for source in sources for folder in _folders(source, out)]
+    _refuse_frames(folders)
     if len(folders) == 1 and folders == list(sources):
         return None
     paths = [Path(folder).resolve() for folder in folders]
@@ -119,6 +127,19 @@ def find_shots(sources: tuple[str, ...], out: Path) -> dict[str, str] | None:
         shared = os.path.commonpath([path.parent for path in paths])
         names = [path.relative_to(shared).as_posix() for path in paths]
     return dict(zip(names, folders, strict=True))
+
+
+def _refuse_frames(sources: list[str]) -> None:
+    """Raise InputError where two files of one folder differ in numbers only: a shell has put them for a glob."""
+    found: dict[tuple[Path, str], str] = {}
+    for source in sources:
+        path = Path(source)
+        other = found.setdefault((path.parent, re.sub(r"\d+", "0", path.name)), source)
+        if other != source and path.suffix.lower() == ".exr" and path.is_file():
+            raise InputError(
+                f"{other} and {path.name}: frames of one shot, as it seems, and each would be denoised alone; "
+                f"name their folder, {path.parent}, or put the glob in quotes; for single pictures, give one a command"
+            )
 
 
 def _folder_of(path: Path) -> Path:
