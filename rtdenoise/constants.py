@@ -49,6 +49,7 @@ TURNED_ANGLE = 0.09  # radians (5°) by which history falls to 1 / e
 
 # Textures that move over their surfaces (`ops.retextured`), in the same cells.
 RETEXTURED_LEAST, RETEXTURED_MOST = 0.05, 0.1  # albedo, beyond all around it: history begins to give way; is gone
+MOVED_LEAST, MOVED_MOST = 0.01, 0.1  # likewise its squared distance from albedo before, more than from neighbours
 
 # Light that has changed since all frames before (`ops.outdated`).
 AGREES_PATIENCE = 1.5  # the bounds of `recall` for a running mean, so many times as high: one test tells of all frames

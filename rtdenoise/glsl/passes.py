@@ -167,7 +167,7 @@ class Passes:
         """How far history gives way in each cell, as its surfaces have turned, or textures have moved over them."""
         H, W = inputs.surface.shape[:2]
         cells = _cells((H, W), TURNED_CELL)
-        sums = {name: self._scratch.image(name, cells) for name in ("turns", "counts")}
+        sums = {name: self._scratch.image(name, cells) for name in ("turns", "counts", "aparts")}
         buffers = {"chosen": chosen, "surface": inputs.surface, "surface_before": history.surface}
         buffers |= {"guide": inputs.guide, "mean_albedo_before": history.mean_albedo}
         dispatch("accumulated_kpn/turns", (W, H), buffers | sums, STILL=int(still))

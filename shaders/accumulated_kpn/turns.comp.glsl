@@ -10,6 +10,7 @@
 #pragma reads vec4 mean_albedo_before            // [H, W] rgb
 #pragma writes vec4 turns                        // [⌈H/TURNED_CELL⌉, ⌈W/TURNED_CELL⌉] Σ d, Σ |d|²
 #pragma writes vec4 counts                       // likewise: pixels with both normals, Σ beyond, pixels with both albedos, 0
+#pragma writes vec4 aparts                       // likewise: Σ across, Σ down, 0, 0
 
 vec4 surface_before_at(ivec2 p) {
     return surface_before[at(p, size)];
@@ -18,6 +19,7 @@ vec4 surface_before_at(ivec2 p) {
 
 shared vec4 terms[GROUP_X * GROUP_Y];
 shared vec4 both[GROUP_X * GROUP_Y];
+shared vec2 moved[GROUP_X * GROUP_Y];
 
 // How far albedo lies beyond that of 3×3 pixels, summed over channels.
 float beyond(ivec2 pixel, vec3 albedo) {
@@ -31,11 +33,20 @@ float beyond(ivec2 pixel, vec3 albedo) {
     return dot(max(albedo - greatest, 0.0) + max(least - albedo, 0.0), vec3(1.0));
 }
 
+// How much farther from this frame's albedo than that to the right, and below, squared.
+vec2 apart(ivec2 pixel, vec3 albedo) {
+    vec3 now = guide[at(pixel, size)].rgb;
+    vec3 right = guide[at(min(pixel + ivec2(1, 0), size - 1), size)].rgb - now;
+    vec3 down = guide[at(min(pixel + ivec2(0, 1), size - 1), size)].rgb - now;
+    return dot(now - albedo, now - albedo) - vec2(dot(right, right), dot(down, down));
+}
+
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy), lane = ivec2(gl_LocalInvocationID.xy);
     int here = lane.y * GROUP_X + lane.x;
     terms[here] = vec4(0.0);
     both[here] = vec4(0.0);
+    moved[here] = vec2(0.0);
     if (inside(pixel, size)) {
         int i = at(pixel, size);
         Taps taps = weigh_taps(pixel, chosen[i].xy, surface[i], DEPTH_TOLERANCE, MIN_NORMAL_COSINE);
@@ -48,7 +59,9 @@ void main() {
                 albedo += taps.weight[t] * mean_albedo_before[at(tap, size)].rgb;
             }
             before /= taps.total;
-            both[here].yz = vec2(beyond(pixel, albedo / taps.total), 1.0);
+            albedo /= taps.total;
+            both[here].yz = vec2(beyond(pixel, albedo), 1.0);
+            moved[here] = apart(pixel, albedo);
             float has = dot(now, now), had = dot(before, before);
             if (STILL == 0 && has > 0.0 && had > 0.0) {
                 vec3 d = now / sqrt(max(has, 1e-12)) - before / sqrt(max(had, 1e-12));
@@ -60,12 +73,15 @@ void main() {
     barrier();
     if (lane.x % TURNED_CELL != 0 || lane.y % TURNED_CELL != 0 || !inside(pixel, size)) return;
     vec4 sum = vec4(0.0), count = vec4(0.0);
+    vec2 farther = vec2(0.0);
     for (int y = 0; y < TURNED_CELL; ++y)
         for (int x = 0; x < TURNED_CELL; ++x) {
             sum += terms[here + y * GROUP_X + x];
             count += both[here + y * GROUP_X + x];
+            farther += moved[here + y * GROUP_X + x];
         }
     int cell = at(pixel / TURNED_CELL, (size + TURNED_CELL - 1) / TURNED_CELL);
     turns[cell] = sum;
     counts[cell] = count;
+    aparts[cell] = vec4(farther, 0.0, 0.0);
 }

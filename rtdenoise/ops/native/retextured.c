@@ -1,16 +1,17 @@
-// How far textures have moved over their surfaces. The specification is ops/retextured.py; CELL, LEAST and MOST are those of
+// How far textures have moved over their surfaces. The specification is ops/retextured.py; CELL and the bounds are those of
 // constants.py.
 #include "common.h"
 #include "cells.h"
 
-#define SUMS 2  // how far albedo before lies beyond this frame's, and the pixels that have both
-#define ROWS 6  // of `space`: SUMS, the least and the greatest of three pixels above each other, and two more
+#define SUMS 4  // how far albedo before lies beyond this frame's, farther away than two neighbours', and the pixels with both
+#define ROWS 8  // of `space`: SUMS, the least and the greatest of three pixels above each other, and two more
 
 // The sums of a row of cells, [SUMS, columns]; `space` has ROWS · W values.
 static inline void compare(const float *albedo, const float *before, const uint8_t *found, float *cells, float *space, int row,
                            int H, int W, int columns) {
     int64_t plane = (int64_t)H * W;
-    float *beyond = space, *count = beyond + W, *low = count + W, *high = low + W, *least = high + W, *greatest = least + W;
+    float *beyond = space, *across = beyond + W, *down = across + W, *count = down + W;
+    float *low = count + W, *high = low + W, *least = high + W, *greatest = least + W;
     memset(space, 0, SUMS * (size_t)W * sizeof *space);
     for (int y = row * CELL; y < MIN((row + 1) * CELL, H); y++) {
         const uint8_t *has = found + (int64_t)y * W;
@@ -32,8 +33,17 @@ static inline void compare(const float *albedo, const float *before, const uint8
                 greatest[x] = MAX(MAX(high[x - 1], high[x]), high[x + 1]);
             }
 #pragma omp simd
-            for (int x = 0; x < W; x++)
+            for (int x = 0; x < W; x++) {
+                float d = has[x] ? now[x] - then[x] : 0, under = has[x] ? below[x] - now[x] : 0;
+                across[x] += d * d;
+                down[x] += d * d - under * under;
                 beyond[x] += has[x] ? MAX(then[x] - greatest[x], 0) + MAX(least[x] - then[x], 0) : 0;
+            }
+#pragma omp simd
+            for (int x = 0; x < W - 1; x++) {
+                float right = has[x] ? now[x + 1] - now[x] : 0;
+                across[x] -= right * right;
+            }
         }
 #pragma omp simd
         for (int x = 0; x < W; x++) count[x] += has[x];
@@ -46,8 +56,10 @@ static inline void shares(const float *cells, float *share, int row, int rows, i
     for (int column = 0; column < columns; column++) {
         float sum[SUMS];
         sum_around(cells, sum, SUMS, row, column, rows, columns);
-        float beyond = sum[0] / MAX(sum[1], 1);
-        share[column] = MIN(MAX((beyond - (float)LEAST) / ((float)MOST - (float)LEAST), 0), 1);
+        float beyond = sum[0] / MAX(sum[3], 1), apart = MIN(sum[1], sum[2]) / MAX(sum[3], 1);
+        float texture = (beyond - (float)LEAST) / ((float)MOST - (float)LEAST);
+        float moved = (apart - (float)MOVED_LEAST) / ((float)MOVED_MOST - (float)MOVED_LEAST);
+        share[column] = MIN(MAX(MAX(texture, moved), 0), 1);
     }
 }
 

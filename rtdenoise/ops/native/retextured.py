@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...constants import RETEXTURED_LEAST, RETEXTURED_MOST, TURNED_CELL
+from ...constants import MOVED_LEAST, MOVED_MOST, RETEXTURED_LEAST, RETEXTURED_MOST, TURNED_CELL
 from .compiler import library, pointer
 
-SUMS, ROWS = 2, 6  # as in retextured.c
+SUMS, ROWS = 4, 8  # as in retextured.c
 
 
 def retextured(albedo: Tensor, before: Tensor, found: Tensor) -> Tensor:
@@ -17,6 +17,7 @@ def retextured(albedo: Tensor, before: Tensor, found: Tensor) -> Tensor:
     threads = torch.get_num_threads()
     cells = albedo.new_empty(B, -(-H // TURNED_CELL), SUMS, -(-W // TURNED_CELL))
     space, out = albedo.new_empty(threads, ROWS, W), albedo.new_empty(B, 1, H, W)
-    run = library("retextured", CELL=TURNED_CELL, LEAST=RETEXTURED_LEAST, MOST=RETEXTURED_MOST).retextured
+    bounds = {"LEAST": RETEXTURED_LEAST, "MOST": RETEXTURED_MOST, "MOVED_LEAST": MOVED_LEAST, "MOVED_MOST": MOVED_MOST}
+    run = library("retextured", CELL=TURNED_CELL, **bounds).retextured
     run(*map(pointer, (*images, out, cells, space)), B, H, W, threads)
     return out
