@@ -69,7 +69,7 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     images = dict(B=1, frames=1) if one else {}
     counts = dict(words="i32", step="i32", **dict.fromkeys({"B", "frames"} - {*images}, "i32"))
     tests = dict.fromkeys(["alike", "changed", "wide_alike", "wide_changed", "white", "joined"], "fp32")
-    for sums in (4, 6):
+    for sums in (4, 5):
         build(_stays, dict(SUMS=sums, BLOCK=128, **{n: v for n, v in {**one, **images}.items() if n in "HWB"}), **sizes,
               **counts, **tests)
     for pointers in (("*i32",) * 8, ("*i64",) * 8):  # of frames, and of their addresses

@@ -1,4 +1,4 @@
-"""Sets for `render.py` in which small things are bright: windows at night, flakes in paint, a fire."""
+"""Sets for `render.py` in which small things are bright: windows at night, flakes in paint, a fire, dots of light."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import random
 
 import bpy
-from sets import ball, box, keyframe, material, plain_material, sky, sunlight
+from sets import ball, box, keyframe, lamp_and_sky, material, plain_material, sky, sunlight
 
 
 def build_skyline(scene: bpy.types.Scene, frames: int) -> None:
@@ -117,4 +117,76 @@ def build_fire(scene: bpy.types.Scene, frames: int) -> None:
     keyframe(scene.camera, frames, (-0.15, -4.6, 1.6), (0.15, -4.6, 1.6))
 
 
-GLOW_SETS = {"skyline": build_skyline, "paint": build_paint, "fire": build_fire}
+def build_disco(scene: bpy.types.Scene, frames: int) -> None:
+    """Dots of light that a mirror ball throws sweep a room and what stands in it, by 3° a frame."""
+    plaster = material("plaster", (0.75, 0.72, 0.68), (0.65, 0.6, 0.58), 2)
+    boards = material("boards", (0.35, 0.2, 0.1), (0.55, 0.35, 0.2), 3, roughness=0.5)
+    box("floor", (0, 0, -0.05), (6, 6, 0.1), boards)
+    box("ceiling", (0, 0, 3.05), (6, 6, 0.1), plaster)
+    box("back", (0, 3.05, 1.5), (6, 0.1, 3), plaster)
+    for name, side in (("left", -3.05), ("right", 3.05)):
+        box(name, (side, 0, 1.5), (0.1, 6, 3), plaster)
+    box("table", (0.3, 1.2, 0.4), (1.2, 0.8, 0.8), material("blue", (0.2, 0.3, 0.6), (0.6, 0.6, 0.7), 4))
+    ball("ball", (-1.2, 1.5, 0.4), 0.4, material("red", (0.7, 0.2, 0.1), (0.9, 0.6, 0.2), 6))
+    bpy.ops.object.light_add(type="POINT", location=(0, 0.8, 2.2))
+    lamp = bpy.context.object.data
+    lamp.energy, lamp.shadow_soft_size, lamp.use_nodes = 3000, 0.01, True
+    turn = {"Rotation": (0, 0, math.radians(3))}
+    dots = moving_dots(lamp.node_tree, "Normal", 7, {0.18: (1, 1, 1, 1), 0.24: (0.01, 0.01, 0.012, 1)}, turn, frames)
+    lamp.node_tree.links.new(dots, lamp.node_tree.nodes["Emission"].inputs["Color"])
+    sky(scene, (0.04, 0.05, 0.08))
+    bpy.ops.object.camera_add(rotation=(math.radians(88), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 24
+    keyframe(scene.camera, frames, (-0.2, -3.4, 1.5), (0.2, -3.3, 1.5))
+
+
+def moving_dots(
+    tree: bpy.types.NodeTree, source: str, scale: float, colours: dict, step: dict, frames: int
+) -> bpy.types.NodeSocket:
+    """Cells of a Voronoi pattern over a texture coordinate, coloured by the distance from their middles; by how much a
+    Mapping's input changes from frame to frame says `step`."""
+    nodes, links = tree.nodes, tree.links
+    dots, coordinates, place, ramp = (
+        nodes.new(f"ShaderNode{kind}") for kind in ("TexVoronoi", "TexCoord", "Mapping", "ValToRGB")
+    )
+    dots.inputs["Scale"].default_value = scale
+    for stop, (distance, colour) in zip(ramp.color_ramp.elements, colours.items(), strict=True):
+        stop.position, stop.color = distance, colour
+    (name, change), *_ = step.items()
+    for number in (0, frames + 1):
+        place.inputs[name].default_value = [number * x for x in change]
+        place.inputs[name].keyframe_insert("default_value", frame=number)
+    links.new(coordinates.outputs[source], place.inputs["Vector"])
+    links.new(place.outputs["Vector"], dots.inputs["Vector"])
+    links.new(dots.outputs["Distance"], ramp.inputs["Fac"])
+    return ramp.outputs["Color"]
+
+
+def build_ticker(scene: bpy.types.Scene, frames: int) -> None:
+    """Lamps of a running text, a few pixels wide, on a wall above crates that slide."""
+    lamps = plain_material("lamps", Base_Color=(0, 0, 0, 1), Emission_Strength=6)
+    move = {"Location": (0.08, 0, 0)}
+    dots = moving_dots(lamps.node_tree, "Object", 6, {0.35: (1, 0.2, 0.05, 1), 0.37: (0, 0, 0, 1)}, move, frames)
+    lamps.node_tree.links.new(dots, lamps.node_tree.nodes["Principled BSDF"].inputs["Emission Color"])
+    box("floor", (0, 0, -0.05), (8, 6, 0.1), material("floor", (0.35, 0.2, 0.1), (0.55, 0.35, 0.2), 3))
+    box("wall", (0, 3.05, 1.5), (8, 0.1, 3), material("wall", (0.75, 0.72, 0.68), (0.65, 0.6, 0.58), 2))
+    box("sign", (0, 2.95, 2), (4, 0.05, 0.6), lamps)
+    for n in range(4):
+        card = material(f"card{n}", (0.6, 0.4, 0.25), (0.5, 0.3, 0.2), 4)
+        crate = box(f"crate{n}", (0, 0, 0), (0.5, 0.5, 0.5), card)
+        start = 1.2 * n - 2.4
+        keyframe(crate, frames, (start, 0.6, 0.25), (start + 0.12 * (frames - 1), 0.6, 0.25))
+    lamp_and_sky(scene)
+    bpy.ops.object.camera_add(location=(0, -3.2, 1.7), rotation=(math.radians(82), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 24
+
+
+GLOW_SETS = {
+    "skyline": build_skyline,
+    "paint": build_paint,
+    "fire": build_fire,
+    "disco": build_disco,
+    "ticker": build_ticker,
+}

@@ -188,7 +188,7 @@ class Passes:
             cells = _cells((H, W), RECALL_CELL)
             sums, stays = {"cells": self._scratch.image("cells", cells)}, self._scratch("stays", cells)
             dispatch("accumulated_kpn/compare", (W, H), buffers | sums | {"light": inputs.light})
-            sums |= {"pairs": sums["cells"], "stays": stays}  # which are not read
+            sums |= {"pairs": stays, "stays": stays}  # pairs are not read
             dispatch("accumulated_kpn/stays", cells[::-1], sums, {"patience": AGREES_PATIENCE}, PAIRS=0)
         dispatch(
             "accumulated_kpn/agreement", most.shape[1::-1], buffers | {"stays": stays, "most": most},

@@ -57,8 +57,8 @@ class Recent:
         size, last = inputs.surface.shape[:2], len(recent) - 1
         extent = tuple(-(-n // RECALL_CELL) for n in size)
         found = self._scratch.image("recall.found", size)
-        cells, pairs = (self._scratch.image(name, extent) for name in ("cells", "pairs"))
-        stays, seen = self._scratch("stays", extent), None
+        cells, seen = self._scratch.image("cells", extent), None
+        pairs, stays = (self._scratch(name, extent) for name in ("pairs", "stays"))
         now = {"light": inputs.light, "surface": inputs.surface, "chosen": chosen}
         now["path"] = self._scratch.image("path", size)
         if self._footprints:

@@ -66,15 +66,14 @@ def recall(
         w_j = same surface · u_j · Π_(i<j) (1 - reset_i(p_i)),
         u_j = clamp((CHANGED - q_j) / (CHANGED - ALIKE), 0, 1) · the same of wider cells
               · clamp((JOINED - r_j) / (JOINED - WHITE), 0, 1),
-        q_j = |Σ d|² / Σ (|d|² + ROUNDING · light),    r_j = 2 min(Σ d d_x, Σ d d_y) / Σ (|d|² + ROUNDING · light)
+        q_j = |Σ d|² / Σ (|d|² + ROUNDING · light),    r_j = Σ (d d_x + d d_y) / Σ (|d|² + ROUNDING · light)
 
     with the differences d = √light_j(p_j) - √light(p), over cells of CELL × CELL pixels and the eight around them, of
     pixels that show the same surface (`alike`): q_j is 1 on average if they are noise alone, and small if they are what
     bfloat16 rounds. The root keeps a few bright samples from being all that counts. Cells of twice the side tell of
     weaker changes: what is common to more pixels stands out from their noise. Noise is white, what has changed is not:
-    r_j is the correlation of d with that of the next pixel, over pairs of pixels that lie together in a cell. The
-    lesser of both directions is small, too, where lookups are off at an edge. `constants` has these numbers as
-    RECALL_CELL, RECALL_WIDE_ALIKE ...
+    r_j is the correlation of d with that of the pixel beside and below, over pairs of pixels that lie together in a
+    cell. `constants` has these numbers as RECALL_CELL, RECALL_WIDE_ALIKE ...
 
     With `uncovered` also the mean of all that was seen in the pixel. At an edge one sample shows one of two surfaces, a
     converged picture both: so the surface there need only be that of p or of a pixel beside it. An edge moves with what
@@ -174,9 +173,9 @@ def white(difference: Tensor, least: Tensor) -> Tensor:
     beside = (difference[..., 0::2] * difference[..., 1::2]).sum(1, keepdim=True)
     below = (difference[..., 0::2, :] * difference[..., 1::2, :]).sum(1, keepdim=True)
     half = RECALL_CELL // 2
-    pairs = F.avg_pool2d(beside, (RECALL_CELL, half)), F.avg_pool2d(below, (half, RECALL_CELL))
-    x, y, square = (F.avg_pool2d(mean, 3, 1, 1) for mean in (*pairs, F.avg_pool2d(square, RECALL_CELL)))
-    r = x.minimum(y) / square.clamp(min=1e-30)
+    products = (F.avg_pool2d(beside, (RECALL_CELL, half)) + F.avg_pool2d(below, (half, RECALL_CELL))) / 2
+    products, square = (F.avg_pool2d(mean, 3, 1, 1) for mean in (products, F.avg_pool2d(square, RECALL_CELL)))
+    r = products / square.clamp(min=1e-30)
     weight = ((RECALL_JOINED - r) / (RECALL_JOINED - RECALL_WHITE)).clamp(0, 1)
     return F.interpolate(weight, scale_factor=RECALL_CELL)[:, :, :H, :W]
 

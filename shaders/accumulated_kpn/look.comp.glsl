@@ -12,7 +12,7 @@
 #pragma changes vec4 path               // [H, W] motion to the kept frame, share that resets left; not read by the FIRST
 #pragma writes vec4 found               // [H, W] its rgb, this share, or 0 where it shows another surface
 #pragma writes vec4 cells               // [⌈H/RECALL_CELL⌉, ⌈W/RECALL_CELL⌉] Σ d, Σ |d|² and what is added
-#pragma writes vec4 pairs               // likewise, Σ of the products of d with that beside, and with that below
+#pragma writes float pairs              // likewise, Σ of the products of d with that beside and that below
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -39,13 +39,13 @@ void main() {
     }
     vec4 sum;
     if (!sum_cell(pixel, RECALL_CELL, term, sum)) return;
-    vec4 products = vec4(0.0);
+    float products = 0.0;
     int first = int(gl_LocalInvocationID.y) * GROUP_X + int(gl_LocalInvocationID.x);
     for (int k = 0; k < RECALL_CELL * RECALL_CELL / 2; ++k) {
         int aside = first + k / (RECALL_CELL / 2) * GROUP_X + k % (RECALL_CELL / 2) * 2;
         int below = first + k / RECALL_CELL * 2 * GROUP_X + k % RECALL_CELL;
-        products.x += dot(terms[aside].rgb, terms[aside + 1].rgb);
-        products.y += dot(terms[below].rgb, terms[below + GROUP_X].rgb);
+        products += dot(terms[aside].rgb, terms[aside + 1].rgb);
+        products += dot(terms[below].rgb, terms[below + GROUP_X].rgb);
     }
     int cell = at(pixel / RECALL_CELL, (size + RECALL_CELL - 1) / RECALL_CELL);
     cells[cell] = sum;

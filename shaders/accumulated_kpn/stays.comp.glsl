@@ -2,7 +2,7 @@
 // How far the light of a kept frame has stayed as it is, in each cell (ops.recall, u_j):
 //
 //     clamp((RECALL_CHANGED - q) / (RECALL_CHANGED - RECALL_ALIKE), 0, 1) · the same of wide cells,    q = |Σ d|² / Σ |d|²
-//     · with PAIRS clamp((RECALL_JOINED - r) / (RECALL_JOINED - RECALL_WHITE), 0, 1),    r = 2 min(Σ d d_x, Σ d d_y) / Σ |d|²
+//     · with PAIRS clamp((RECALL_JOINED - r) / (RECALL_JOINED - RECALL_WHITE), 0, 1),    r = Σ (d d_x + d d_y) / Σ |d|²
 //
 // with sums over a cell and the eight around it. A wide cell is 2×2 of them. For a running mean (ops.agrees) bounds are `patience`
 // times as high.
@@ -11,7 +11,7 @@
 #include "image.glsl"
 
 #pragma reads vec4 cells    // [h, w] Σ d, Σ |d|²
-#pragma reads vec4 pairs    // [h, w] of `look`, with PAIRS
+#pragma reads float pairs   // [h, w] of `look`, with PAIRS
 #pragma writes float stays  // [h, w]
 
 // The factor of side × side cells, of which `cell` is one, and as many on each side of them.
@@ -29,15 +29,14 @@ float unchanged(ivec2 cell, int side, float alike, float changed) {
 
 // The factor of differences that are white.
 float white(ivec2 cell) {
-    vec2 products = vec2(0.0);
-    float square = 0.0;
+    float products = 0.0, square = 0.0;
     for (int k = 0; k < 9; ++k) {
         ivec2 c = cell + ivec2(k % 3, k / 3) - 1;
         if (!inside(c, size)) continue;
-        products += pairs[at(c, size)].xy;
+        products += pairs[at(c, size)];
         square += cells[at(c, size)].w;
     }
-    float r = 2.0 * min(products.x, products.y) / max(square, 1e-30);
+    float r = products / max(square, 1e-30);
     return clamp((RECALL_JOINED - r) / (RECALL_JOINED - RECALL_WHITE), 0.0, 1.0);
 }
 

@@ -16,7 +16,7 @@
 #define LESS 5
 #define FOUND 4   // rows of cells of which a thread keeps what it found
 #define SUMS 6    // likewise the sums
-#define OF_CELL 6 // of these: Σ d, Σ |d|², and of its products with that beside and with that below
+#define OF_CELL 5 // of these: Σ d, Σ |d|², and of its products with that beside and that below
 #define SAME 0x3f800000  // 1 as the high half of a word
 #define SUMMED 10 // channels of a footprint, and their weight
 
@@ -221,7 +221,7 @@ static inline void compare(Job j, int cell_row, int k, Roots now) {
         if (y % 2)
 #pragma omp simd
             for (int x = 0; x < j.n; x++)
-                sum[5][x] += apart[0][0][x] * mine[0][x] + apart[0][1][x] * mine[1][x] + apart[0][2][x] * mine[2][x];
+                sum[4][x] += apart[0][0][x] * mine[0][x] + apart[0][1][x] * mine[1][x] + apart[0][2][x] * mine[2][x];
     }
     for (int i = 0; i < OF_CELL; i++)
         for (int x = 0; x < j.n; x += CELL) {
@@ -253,16 +253,16 @@ static inline void unchanged(Job j, int cell_row, int k, int side, float alike, 
 // Likewise by that of light whose differences are white in a cell and those around it.
 static inline void white(Job j, int cell_row, int k, float *weight) {
     int columns = (j.n + CELL - 1) / CELL;
-    float column[3][BLOCK / CELL + 2] = {{0}};  // sums, from a column before the first on
+    float column[2][BLOCK / CELL + 2] = {{0}};  // sums, from a column before the first on
     for (int i = MAX(cell_row - 1, 0); i < MIN(cell_row + 2, j.rows); i++)
-        for (int c = 0; c < 3; c++) {
+        for (int c = 0; c < 2; c++) {
             const float *row = cells_of(j, i, k) + (3 + c) * (BLOCK / CELL);
             for (int x = 0; x < columns; x++) column[c][1 + x] += row[x];
         }
     for (int x = 0; x < columns; x++) {
-        float sum[3];
-        for (int c = 0; c < 3; c++) sum[c] = column[c][x] + column[c][x + 1] + column[c][x + 2];
-        float r = 2 * MIN(sum[1], sum[2]) / MAX(sum[0], 1e-30f);
+        float sum[2];
+        for (int c = 0; c < 2; c++) sum[c] = column[c][x] + column[c][x + 1] + column[c][x + 2];
+        float r = sum[1] / MAX(sum[0], 1e-30f);
         weight[x] *= MIN(MAX((j.joined - r) / (j.joined - j.white), 0), 1);
     }
 }

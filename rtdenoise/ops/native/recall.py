@@ -27,7 +27,7 @@ from ...constants import (
 )
 from .compiler import library, pointer, pointers
 
-FOUND, SUMS, OF_CELL, BLOCK = 4, 6, 6, 256  # as in recall.c
+FOUND, SUMS, OF_CELL, BLOCK = 4, 6, 5, 256  # as in recall.c
 WORDS = 3  # likewise, found of a pixel in each kept frame
 
 

@@ -66,7 +66,7 @@ def _below(d, CELL: tl.constexpr, COLUMNS: tl.constexpr):
 def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words, depth_tolerance, normal_tolerance,
              rounding, CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     """Sums over cells of the differences between each kept frame and this one, of their squares with what is added, and
-    of their products with that of the next pixel of a pair, beside and below."""
+    of their products with that beside and that below, of pairs."""""
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
     b, row = row_of(rows)
     cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
@@ -93,14 +93,13 @@ def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words
         r = tl.where(same, _root(red) - now_r, 0.0)
         g = tl.where(same, _root(green) - now_g, 0.0)
         a = tl.where(same, _root(blue) - now_b, 0.0)
-        of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 6 * size + row * across + cell
+        of_frame = cells + (tl.cast(j, tl.int64) * B + b) * 5 * size + row * across + cell
         for k in tl.static_range(4):
             term = r if k == 0 else g if k == 1 else a if k == 2 else r * r + g * g + a * a + tl.where(same, least, 0.0)
             tl.store(of_frame + k * size, tl.sum(tl.sum(term, axis=2), axis=0), mask=cell < across)
-        aside = _beside(r, CELL, COLUMNS) + _beside(g, CELL, COLUMNS) + _beside(a, CELL, COLUMNS)
-        below = _below(r, CELL, COLUMNS) + _below(g, CELL, COLUMNS) + _below(a, CELL, COLUMNS)
-        tl.store(of_frame + 4 * size, aside, mask=cell < across)
-        tl.store(of_frame + 5 * size, below, mask=cell < across)
+        products = _beside(r, CELL, COLUMNS) + _beside(g, CELL, COLUMNS) + _beside(a, CELL, COLUMNS)
+        products += _below(r, CELL, COLUMNS) + _below(g, CELL, COLUMNS) + _below(a, CELL, COLUMNS)
+        tl.store(of_frame + 4 * size, products, mask=cell < across)
         u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
 
 
@@ -217,7 +216,7 @@ def recall(
     B, _, H, W = light.shape
     K, h, w = len(recent), triton.cdiv(H, RECALL_CELL), triton.cdiv(W, RECALL_CELL)
     recent, words = stacked(recent)
-    cells = light.new_empty(K, B, 6, h, w)
+    cells = light.new_empty(K, B, 5, h, w)
     tolerances, far = (DEPTH_TOLERANCE, MIN_NORMAL_COSINE), {"CELL": RECALL_CELL, "FAR_AWAY": FAR_AWAY}
     counts = H, W, B, K, words
     _compare[triton.cdiv(W, COLUMNS), B * h](

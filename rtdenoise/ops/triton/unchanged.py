@@ -45,8 +45,8 @@ def _unchanged(r, g, b, square, whole, none):
 
 
 @triton.jit
-def _white(beside, below, square, white, joined):
-    r = 2 * tl.minimum(beside, below) / tl.maximum(square, 1e-30)
+def _white(products, square, white, joined):
+    r = products / tl.maximum(square, 1e-30)
     return tl.minimum(tl.maximum((joined - r) / (joined - white), 0.0), 1.0)
 
 
@@ -54,7 +54,7 @@ def _white(beside, below, square, white, joined):
 def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, white, joined, SUMS: tl.constexpr,
            BLOCK: tl.constexpr):  # fmt: skip
     """How far light has stayed as it is in each of H × W cells, one kept frame a plane of programs. The four cells of a
-    wide one are computed together: they share what is read. With 6 SUMS products of neighbours tell, too."""
+    wide one are computed together: they share what is read. With 5 SUMS products of neighbours tell, too."""
     b, i, j, exists = place(tl.cdiv(H, 2), tl.cdiv(W, 2), BLOCK)
     size = tl.cast(H, tl.int64) * W
     n = tl.cast(tl.program_id(2), tl.int64) * B + b
@@ -71,13 +71,12 @@ def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, whit
     w1 = wide * _unchanged(r1, g1, a1, s1, alike, changed)
     w2 = wide * _unchanged(r2, g2, a2, s2, alike, changed)
     w3 = wide * _unchanged(r3, g3, a3, s3, alike, changed)
-    if SUMS == 6:
+    if SUMS == 5:
         _, u0, u1, u2, u3 = _around(cells + 4 * size, y - 2, x - 2, H, W, exists)
-        _, v0, v1, v2, v3 = _around(cells + 5 * size, y - 2, x - 2, H, W, exists)
-        w0 *= _white(u0, v0, s0, white, joined)
-        w1 *= _white(u1, v1, s1, white, joined)
-        w2 *= _white(u2, v2, s2, white, joined)
-        w3 *= _white(u3, v3, s3, white, joined)
+        w0 *= _white(u0, s0, white, joined)
+        w1 *= _white(u1, s1, white, joined)
+        w2 *= _white(u2, s2, white, joined)
+        w3 *= _white(u3, s3, white, joined)
     tl.store(stays, w0, mask=exists)
     tl.store(stays + 1, w1, mask=right)
     tl.store(stays + W, w2, mask=below)
@@ -85,7 +84,7 @@ def _stays(cells, stays, H, W, B, alike, changed, wide_alike, wide_changed, whit
 
 
 def unchanged(cells: Tensor, patience: float = 1.0) -> Tensor:
-    """`[K, B, 4 or 6, h, w]` sums of differences, of their squares, and of products of neighbours, to `[K, B, h, w]` in
+    """`[K, B, 4 or 5, h, w]` sums of differences, of their squares, and of products of neighbours, to `[K, B, h, w]` in
     [0, 1]. `patience`: as that of `ops.recall.unchanged`."""
     K, B, sums, h, w = cells.shape
     stays = cells.new_empty(K, B, h, w)
