@@ -26,7 +26,7 @@ import numpy as np
 from rtdenoise.data.clip_file import clip_path, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.render import draw
-from rtdenoise.render.frames import _image, describe_frame, motion_between
+from rtdenoise.render.frames import describe_frame, motion_between, samples_of
 from rtdenoise.render.options import ClipOptions, find_scenes
 from rtdenoise.render.stage import Stage, start_mitsuba
 from rtdenoise.render.streams import NOISY, stream_seed
@@ -55,15 +55,11 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
     hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
     light = tracing.trace(stage.mitsuba, sampler, ray, options.max_depth, stage.holes)
     dr.eval(hit, light)
-
-    def samples(value) -> np.ndarray:  # [H, W, samples, 3]
-        return np.array(value, np.float32).T.reshape(*size, total, 3)
-
-    direct, indirect = (samples(part) * stage.exposure for part in light)
+    direct, indirect = (samples_of(part, size, total) * stage.exposure for part in light)
     color = direct + indirect
-    emission = samples(hit["emission"]) * stage.exposure
-    albedo, normal = samples(hit["albedo"]), samples(hit["normal"])
-    shared = {k: _image(hit[k], size, total, first=True) for k in ("depth", "position", "id")}
+    emission = samples_of(hit["emission"], size, total) * stage.exposure
+    albedo, normal = (samples_of(hit[name], size, total) for name in ("albedo", "normal"))
+    shared = {k: samples_of(hit[k], size, total)[:, :, 0] for k in ("depth", "position", "id")}
     frames = {n: describe_frame(stage.scene, n, size) for n in (number - 1, number, number + 1)}
     for layer, other in (("motion", number - 1), ("motion_next", number + 1)):
         shared[layer] = motion_between(shared["position"], shared["id"], frames[number], frames[other])

@@ -1,4 +1,4 @@
-"""Sets for `render.py` of other kinds: bodies that bend, small things that fall, a street at night, other cameras."""
+"""Sets for `render.py` of other kinds: bodies that bend, what falls, a street at night, lights that move."""
 
 from __future__ import annotations
 
@@ -142,7 +142,55 @@ def build_debris(scene: bpy.types.Scene, frames: int) -> None:
         scene.camera.keyframe_insert("rotation_euler", frame=k)
 
 
+def build_tiles(scene: bpy.types.Scene, frames: int) -> None:
+    """Glossy tiles to the horizon and posts in the sun, before a camera that runs forward near the ground."""
+    draw = random.Random(1)
+    tiles = plain_material("tiles", Roughness=0.15)
+    nodes, links = tiles.node_tree.nodes, tiles.node_tree.links
+    checks, coordinates = nodes.new("ShaderNodeTexChecker"), nodes.new("ShaderNodeTexCoord")
+    checks.inputs["Scale"].default_value = 3
+    for name, colour in (("Color1", (0.8, 0.8, 0.78, 1)), ("Color2", (0.03, 0.03, 0.04, 1))):
+        checks.inputs[name].default_value = colour
+    links.new(coordinates.outputs["Object"], checks.inputs["Vector"])
+    links.new(checks.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
+    bpy.ops.mesh.primitive_plane_add(size=400)
+    bpy.context.object.data.materials.append(tiles)
+    for n in range(12):
+        look = material(f"post{n}", *([draw.random() for _ in range(3)] for _ in range(2)), 3, 0.4)
+        box(f"post{n}", (draw.uniform(-6, 6), draw.uniform(2, 20), 0.5), (0.5, 0.5, draw.uniform(1, 3)), look)
+    rolls = ball("ball", (0, 0, 0), 0.4, material("ball", (0.9, 0.2, 0.1), (0.95, 0.9, 0.8), 4, 0.2))
+    keyframe(rolls, frames, (-1.5, 2, 0.4), (1.5, 3, 0.4))
+    sunlight((0.9, 0.4, 0), 0.02)
+    sky(scene, (0.5, 0.65, 0.9))
+    bpy.ops.object.camera_add(rotation=(math.radians(86), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 26
+    keyframe(scene.camera, frames, (0, -3, 0.8), (0.1, -1, 0.8))
+
+
+def build_lantern(scene: bpy.types.Scene, frames: int) -> None:
+    """A lantern that is carried past columns, and is the only light: all shadows swing."""
+    plaster = material("plaster", (0.75, 0.72, 0.68), (0.65, 0.6, 0.58), 2)
+    box("floor", (0, 0, -0.05), (6, 6, 0.1), material("floor", (0.35, 0.2, 0.1), (0.55, 0.35, 0.2), 3, 0.5))
+    box("ceiling", (0, 0, 3.05), (6, 6, 0.1), plaster)
+    box("back", (0, 3.05, 1.5), (6, 0.1, 3), plaster)
+    for side in (-1, 1):
+        box(f"wall{side}", (3.05 * side, 0, 1.5), (0.1, 6, 3), plaster)
+    for n in range(5):
+        box(f"column{n}", (n - 2, 1.3, 1.2), (0.18, 0.18, 2.4), plaster)
+    for n in range(4):
+        look = material(f"crate{n}", (0.2 + 0.15 * n, 0.3, 0.5 - 0.1 * n), (0.6, 0.6, 0.3), 4)
+        box(f"crate{n}", (1.1 * n - 1.6, 2.1, 0.3), (0.5, 0.4, 0.6), look)
+    bpy.ops.object.light_add(type="POINT")
+    lamp = bpy.context.object
+    lamp.data.energy, lamp.data.shadow_soft_size, lamp.data.color = 45, 0.05, (1, 0.8, 0.55)
+    keyframe(lamp, frames, (-1.3, 0.3, 1.1), (0.16 * (frames - 1) - 1.3, 0.3, 1.1))
+    bpy.ops.object.camera_add(location=(0, -3.2, 1.5), rotation=(math.radians(86), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 26
+
+
 VARIETY_SETS = {
     "walker": build_walker, "snow": build_snow, "night": build_night, "isometric": build_isometric, "whip": build_whip,
-    "debris": build_debris,
+    "debris": build_debris, "tiles": build_tiles, "lantern": build_lantern,
 }  # fmt: skip

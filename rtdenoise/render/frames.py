@@ -92,7 +92,7 @@ def grey(image: np.ndarray) -> np.ndarray:
     return luminance(_tensor(image))[0, 0].numpy()
 
 
-def _samples(value, size, spp: int) -> np.ndarray:
+def samples_of(value, size, spp: int) -> np.ndarray:
     """A wavefront value as [H, W, spp, C] float32."""
     array = np.array(value, np.float32)
     array = array.T if array.ndim == 2 else array[:, None]
@@ -120,10 +120,10 @@ def features(stage: Stage, number: int, size, spp: int = 1, seed: int = 0) -> di
         ray = tracing.primary_rays(sampler, size, samples, camera)
         hit = tracing.first_hit(stage.mitsuba, ray, sampler, stage.object_ids, stage.holes)
         for k in ("albedo", "normal", "emission"):
-            mean = _samples(hit[k], size, samples).mean(2, dtype=np.float64)
+            mean = samples_of(hit[k], size, samples).mean(2, dtype=np.float64)
             layers[k] = layers.get(k, 0.0) + mean * (samples / spp)
         for k in {"depth", "position", "id"} - layers.keys():
-            layers[k] = _samples(hit[k], size, samples)[:, :, 0]
+            layers[k] = samples_of(hit[k], size, samples)[:, :, 0]
     layers = {k: np.ascontiguousarray(layer, np.float32) for k, layer in layers.items()}
     if stage.holes or camera.aperture > 0:  # rays start behind holes, or beside the middle of the lens
         distance = np.linalg.norm(layers["position"] - camera.to_world[:3, 3], axis=-1, keepdims=True)
