@@ -6,7 +6,7 @@ import math
 import random
 
 import bpy
-from sets import ball, box, keyframe, lamp_and_sky, material, plain_material, sky, sunlight
+from sets import ball, box, keyframe, material, plain_material, sky, sunlight
 
 
 def build_skyline(scene: bpy.types.Scene, frames: int) -> None:
@@ -166,8 +166,8 @@ def moving_dots(
 def build_ticker(scene: bpy.types.Scene, frames: int) -> None:
     """Lamps of a running text, a few pixels wide, on a wall above crates that slide."""
     lamps = plain_material("lamps", Base_Color=(0, 0, 0, 1), Emission_Strength=6)
-    move = {"Location": (0.08, 0, 0)}
-    dots = moving_dots(lamps.node_tree, "Object", 6, {0.35: (1, 0.2, 0.05, 1), 0.37: (0, 0, 0, 1)}, move, frames)
+    move = {"Location": (0.048, 0, 0)}
+    dots = moving_dots(lamps.node_tree, "Object", 10, {0.35: (1, 0.2, 0.05, 1), 0.37: (0, 0, 0, 1)}, move, frames)
     lamps.node_tree.links.new(dots, lamps.node_tree.nodes["Principled BSDF"].inputs["Emission Color"])
     box("floor", (0, 0, -0.05), (8, 6, 0.1), material("floor", (0.35, 0.2, 0.1), (0.55, 0.35, 0.2), 3))
     box("wall", (0, 3.05, 1.5), (8, 0.1, 3), material("wall", (0.75, 0.72, 0.68), (0.65, 0.6, 0.58), 2))
@@ -177,7 +177,9 @@ def build_ticker(scene: bpy.types.Scene, frames: int) -> None:
         crate = box(f"crate{n}", (0, 0, 0), (0.5, 0.5, 0.5), card)
         start = 1.2 * n - 2.4
         keyframe(crate, frames, (start, 0.6, 0.25), (start + 0.12 * (frames - 1), 0.6, 0.25))
-    lamp_and_sky(scene)
+    bpy.ops.object.light_add(type="AREA", location=(0, 0, 2.9))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 60, 1.0
+    sky(scene, (0.1, 0.11, 0.13))
     bpy.ops.object.camera_add(location=(0, -3.2, 1.7), rotation=(math.radians(82), 0, 0))
     scene.camera = bpy.context.object
     scene.camera.data.lens = 24
