@@ -209,19 +209,32 @@ def test_without_half_references_nothing_is_corrected(tmp_path, capsys):
     assert document.sequences["shot"]["reference_psnr"] is None
 
 
-def test_metrics_can_be_chosen_and_what_is_missing_is_measured(shot, tmp_path, monkeypatch):
+def test_metrics_can_be_chosen_and_what_is_missing_is_added(shot, tmp_path, monkeypatch):
     out = tmp_path / "out"
     main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "ssim"])
     (row,) = Document.read(out).results
     assert set(row["errors"]["uncovered"]) == {"psnr", "ssim"}
     main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "psnr_corrected"])
     (row,) = Document.read(out).results
-    assert set(row["errors"]["frame"]) == {"psnr", "psnr_corrected"}
+    assert set(row["errors"]["frame"]) == {"psnr", "psnr_corrected", "ssim"} and len(row["frames"]) == 3
+    assert {"psnr", "psnr_corrected", "ssim"} <= row["frames"][0]["frame"].keys()
+    main(["evaluate", str(shot), "--out", str(out), "--methods", *PLAIN, "--metrics", "psnr"])
+    kept, added = Document.read(out).results
+    assert kept == row and set(added["errors"]["frame"]) == {"psnr"}
     with pytest.raises(InputError, match="unknown metric 'beauty'; expected some of psnr, psnr_corrected"):
         run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("beauty",)))
     monkeypatch.setitem(NEEDS, "fovvideovdp", ("nowhere", "pyfvvdp"))
     with pytest.raises(InputError, match="metric fovvideovdp needs a package that is not there: pip install pyfvvdp"):
         run([str(shot)], out, EvaluateOptions(PLAIN, metrics=("fovvideovdp",)))
+
+
+def test_what_cannot_be_measured_again_is_kept(shot, tmp_path, monkeypatch):
+    run([str(shot)], tmp_path, EvaluateOptions(("svgf",), metrics=("psnr",)))
+    told = []
+    monkeypatch.setattr("rtdenoise.evaluate.run.Method.unavailable", lambda method, precision: "needs more memory")
+    document = run([str(shot)], tmp_path, EvaluateOptions(("svgf",), metrics=("ssim",)), say=told.append)
+    assert told[0].endswith("left out: svgf fp32: needs more memory") and not document.skipped
+    assert set(document.results[0]["errors"]["frame"]) == {"psnr"}
 
 
 def test_frames_say_how_many_samples_they_have(shot):

@@ -2,13 +2,14 @@
 
 DIR/evaluation.json holds all numbers (`document.Document`), DIR/pictures/SEQ/FRAME/METHOD.exr the frames to look at,
 DIR/playback/SEQ/METHOD.webp the sequences to play.
-Results that the file holds already are kept, unless their input or their weights have changed.
+Results that the file holds already are kept, unless their input or their weights have changed. One that lacks a metric
+is measured again, by the metrics that it had and by those asked for.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -107,7 +108,7 @@ def _check(options: EvaluateOptions, sources: Sequence[str | Path]) -> None:
                 raise InputError(f"unknown {kind} {name!r}{did_you_mean(name, known)}; expected some of "
                                  f"{', '.join(known)}")  # fmt: skip
     for name in options.metrics:
-        if name in NEEDS and not importlib.util.find_spec(NEEDS[name][0]):
+        if not _is_there(name):
             raise InputError(f"metric {name} needs a package that is not there: pip install {NEEDS[name][1]}")
     if options.references and len(options.references) != len(sources):
         raise InputError(f"--reference: expected a folder for each of the {len(sources)} sequences, "
@@ -146,7 +147,7 @@ class _Input:
             return
         results = evaluate(
             self.frames, {f"{method.name} {precision}": step for (method, precision), step in steps.items()},
-            metrics=self._metrics, regions=ALL_REGIONS, device=self.options.device,
+            metrics=self._metrics_of(steps), regions=ALL_REGIONS, device=self.options.device,
             delays={f"{method.name} {precision}": method.delay for method, precision in steps},
             on_step=lambda name, done, total: self.on_step(f"{self.label}: {name}", done, total),
         )  # fmt: skip
@@ -187,8 +188,8 @@ class _Input:
             return {}
         steps = {}
         for method, precision in wanted:
-            known = self.document.find(**self.key, method=method.name, precision=precision)
-            if known is not None and self._covers(known, method):
+            known = self._known(method, precision)
+            if known and set(self._metrics) <= known["errors"]["frame"].keys():
                 continue
             if reason := method.unavailable(precision):
                 self._leave_out(method, precision, reason)
@@ -203,11 +204,16 @@ class _Input:
                     self._leave_out(method, precision, str(error).partition("\n")[0] or "out of memory")
         return steps
 
-    def _covers(self, known: dict, method: Method) -> bool:
-        """Whether a result has this input, these weights and all requested metrics."""
-        return (
-            known["fingerprint"] == self._fingerprint(method) and set(self._metrics) <= known["errors"]["frame"].keys()
-        )
+    def _known(self, method: Method, precision: str) -> dict | None:
+        """The result with this input and these weights."""
+        row = self.document.find(**self.key, method=method.name, precision=precision)
+        return row if row is not None and row["fingerprint"] == self._fingerprint(method) else None
+
+    def _metrics_of(self, steps: Iterable[tuple[Method, str]]) -> tuple[str, ...]:
+        """The metrics asked for, and those of the results that are measured again."""
+        rows = [row for step in steps if (row := self._known(*step))]
+        had = {metric for row in rows for metric in row["errors"]["frame"] if _is_there(metric)}
+        return tuple(m for m in (*ALL_METRICS, *WHOLE_METRICS) if m in self._metrics or m in had)
 
     def _is_of_others(self, row: dict) -> bool:
         """Whether a result under this sequence's name is of an input that it no longer has."""
@@ -215,14 +221,14 @@ class _Input:
         return same and not row["fingerprint"].startswith(self._of_input)
 
     def _leave_out(self, method: Method, precision: str, reason: str) -> None:
-        self.document.put(self.key | {"method": method.name, "precision": precision, "reason": reason})
+        if not self._known(method, precision):
+            self.document.put(self.key | {"method": method.name, "precision": precision, "reason": reason})
         self.reasons.setdefault(reason, []).append(f"{method.name} {precision}")
 
     @cached_property
     def _metrics(self) -> tuple[str, ...]:
         """The metrics asked for, or all; without FLIP where it is not installed (extra `bench`)."""
-        installed = importlib.util.find_spec(NEEDS["flip"][0]) is not None
-        return self.options.metrics or tuple(m for m in ALL_METRICS if m != "flip" or installed)
+        return self.options.metrics or tuple(filter(_is_there, ALL_METRICS))
 
     @cached_property
     def _of_input(self) -> str:
@@ -231,6 +237,11 @@ class _Input:
     def _fingerprint(self, method: Method) -> str:
         """Changes with the input and with the weights."""
         return "-".join([self._of_input, *method.fingerprints()])
+
+
+def _is_there(metric: str) -> bool:
+    """Whether what a metric needs is installed."""
+    return metric not in NEEDS or importlib.util.find_spec(NEEDS[metric][0]) is not None
 
 
 def _numbers(result: Result) -> dict:
