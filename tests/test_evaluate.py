@@ -621,6 +621,25 @@ def test_every_sequence_and_device_has_a_table_of_its_own(tmp_path):
     assert "\n## one, 1 spp, cpu\n" in text and "\n## one, 1 spp, cuda\n" in text
 
 
+def test_a_report_of_half_precision_alone_has_all_parts(shot, tmp_path):
+    out, options = tmp_path / "out", EvaluateOptions(PLAIN, metrics=("psnr",))
+    run([str(shot)], out, options)
+    document = run([str(shot)], out, replace(options, methods=("paper",), precisions=("bf16",)))
+    found = payload(document)
+    assert found["ours"] == "paper bf16" and len(found["lost"]) + len(found["won"]) == 2
+    assert "comparisons with rtdenoise `paper bf16`" in markdown(found) and "1.00×" in markdown(found)
+    text = page(found, document, out)
+    for kind in ("image", "flip", "strip"):
+        assert f'data-key="shot/paper bf16/{kind}"' in text
+    picture = next(out.glob("pictures/shot/*/paper.exr"))
+    half = picture.read_bytes()
+    document = run([str(shot)], out, replace(options, methods=("paper",)))  # fp32 takes its place
+    assert picture.read_bytes() != half and payload(document)["ours"] == "paper"
+    full = picture.read_bytes()
+    document = run([str(shot)], out, replace(options, methods=("paper",), precisions=("bf16",), metrics=("ssim",)))
+    assert picture.read_bytes() == full and 'data-key="shot/paper/strip"' in page(payload(document), document, out)
+
+
 def test_the_report_opens_in_a_browser(shot, tmp_path, monkeypatch, capsys):
     out, opened = tmp_path / "out", []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..files import dumps, read_json, write_atomically
+from .registry import PRECISIONS
 
 NAME = "evaluation.json"
 FORMAT = "rtdenoise-evaluation-1"
@@ -37,6 +38,11 @@ PARTS = {
 }  # fmt: skip
 OPTIONAL = {"runs", "sequences", "methods", "results", "skipped", "reference_psnr", "reference_relmse", "playback"}
 NAMES = {dict: "a JSON object", list: "a JSON array", str: "a string", int: "a whole number"}
+
+
+def by_precision(row: dict) -> int:
+    """Orders results: fp32 first."""
+    return PRECISIONS.index(row["precision"]) if row["precision"] in PRECISIONS else len(PRECISIONS)
 
 
 @dataclass
@@ -93,6 +99,12 @@ class Document:
     def find(self, **key: object) -> dict | None:
         """The result with this key."""
         return next((row for row in self.results if all(row[name] == key[name] for name in KEY)), None)
+
+    def pictured(self, sequence: str, method: str) -> dict | None:
+        """The result whose pictures are kept: of the base samples, in fp32 where that was measured."""
+        rows = [row for row in self.results if (row["sequence"], row["method"]) == (sequence, method)]
+        base = [row for row in rows if row["spp"] == self.sequences[sequence].get("base_spp", row["spp"])]
+        return min(base, key=by_precision, default=None)
 
     def put(self, row: dict) -> None:
         """Add a result, or a row with a `reason` why there is none, in the place of the row with the same key."""

@@ -162,7 +162,8 @@ class _Input:
         for (method, precision), result in zip(steps, results, strict=True):
             row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
             self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
-            if self.spp == self.source.spp and precision == "fp32":
+            pictured = self.document.pictured(self.source.name, method.name)
+            if self.spp == self.source.spp and precision == pictured["precision"]:
                 keep_picture(out, self.source, self.frames, method.name, result)
                 self._keep_strip(out, method.name, result.images)
         if self.spp == self.source.spp:

@@ -106,7 +106,7 @@ def _shortened(value: float | None) -> float | None:
 def _pictures(
     document: Document, folder: Path, wanted: tuple[str, ...], sequences: tuple[str, ...]
 ) -> dict[str, dict[str, str]]:
-    """sequence -> "sequence/picture/kind" -> encoded; kinds are image, flip, motion and uncovered."""
+    """sequence -> "sequence/label/kind" -> encoded; kinds are image, flip, motion and uncovered."""
     found: dict[str, dict[str, str]] = {}
     for name, sequence in document.sequences.items():
         still = folder / "pictures" / name / f"{sequence['stills'][0]:04d}"
@@ -118,11 +118,11 @@ def _pictures(
         blobs[f"{name}/reference/motion"] = encode_motion(_read(still / "reference.exr", ("motion.X", "motion.Y")))
         blobs[f"{name}/reference/uncovered"] = encode_map(_read(still / "reference.exr", ("uncovered.V",))[..., 0])
         for method in wanted or document.methods:
-            image = _read(still / f"{method}.exr", "RGB")
+            image, label = _read(still / f"{method}.exr", "RGB"), _label(document, name, method)
             if image is not None:
-                blobs[f"{name}/{method}/image"] = encode_picture(image, exposure)
+                blobs[f"{name}/{label}/image"] = encode_picture(image, exposure)
                 if importlib.util.find_spec("flip_evaluator"):
-                    blobs[f"{name}/{method}/flip"] = encode_map(_flip(image, truth, exposure))
+                    blobs[f"{name}/{label}/flip"] = encode_map(_flip(image, truth, exposure))
         found[name] = blobs
     return found
 
@@ -130,7 +130,7 @@ def _pictures(
 def _strips(
     document: Document, folder: Path, wanted: tuple[str, ...], sequences: tuple[str, ...]
 ) -> dict[str, dict[str, str]]:
-    """sequence -> "sequence/method/strip" -> WebP of its frames; of noisy, `PEERS` of other families, ours and the
+    """sequence -> "sequence/label/strip" -> WebP of its frames; of noisy, `PEERS` of other families, ours and the
     reference unless `wanted` says otherwise."""
     found: dict[str, dict[str, str]] = {}
     for name, sequence in document.sequences.items():
@@ -145,7 +145,7 @@ def _strips(
             for method in (*(wanted or _to_play(document, name)), "reference")
         }
         blobs = {
-            f"{name}/{method}/strip": base64.b64encode(path.read_bytes()).decode()
+            f"{name}/{_label(document, name, method)}/strip": base64.b64encode(path.read_bytes()).decode()
             for method, path in paths.items()
             if path.is_file() and _size(path) == size  # an older run may have kept fewer frames
         }
@@ -155,16 +155,22 @@ def _strips(
 
 
 def _to_play(document: Document, sequence: str) -> list[str]:
-    """noisy, the best methods of `PEERS` other families by PSNR at the fewest samples, and our network."""
-    rows = [row for row in document.results if row["sequence"] == sequence and row["precision"] == "fp32"]
-    fewest = min((row["spp"] for row in rows), default=1)
-    psnr = {row["method"]: row["errors"]["frame"].get("psnr") or 0.0 for row in rows if row["spp"] == fewest}
+    """noisy, the best methods of `PEERS` other families by PSNR, and our network."""
+    rows = [row for method in document.methods if (row := document.pictured(sequence, method))]
+    psnr = {row["method"]: row["errors"]["frame"].get("psnr") or 0.0 for row in rows}
     best: dict[str, str] = {}  # family -> method
     for method in sorted(psnr, key=psnr.get, reverse=True):
         best.setdefault(document.methods[method]["family"], method)
     ours = readings.speaks_for_us(rows, document.methods)
+    ours = next((row["method"] for row in rows if readings.label(row) == ours), None)
     peers = sorted((m for f, m in best.items() if f not in ("input", "network", "ablation")), key=psnr.get)[-PEERS:]
     return [name for name in ("noisy" if "noisy" in psnr else None, *peers, ours) if name]
+
+
+def _label(document: Document, sequence: str, method: str) -> str:
+    """Of the result that the pictures of a method show."""
+    row = document.pictured(sequence, method)
+    return readings.label(row) if row else method
 
 
 def _size(path: Path) -> tuple[int, int]:

@@ -13,6 +13,8 @@ from itertools import product
 
 import numpy as np
 
+from ..evaluate.document import by_precision
+
 POOL = "all sequences"
 PREFERRED = ("hybrid", "default", "paper")  # the first that was measured is compared with the peers
 HEADLINE = ("psnr", "ssim", "relmse", "flip", "tpsnr")  # metrics and
@@ -65,9 +67,10 @@ def label(row: dict) -> str:
 
 
 def speaks_for_us(rows: Sequence[dict], methods: dict[str, dict]) -> str:
-    """The network that the peers are compared with; empty if none was measured."""
-    found = {row["method"] for row in rows if methods[row["method"]]["family"] == "network"}
-    return next((name for name in (*PREFERRED, *sorted(found)) if name in found), "")
+    """The `label` of the network that the peers are compared with; empty if none was measured."""
+    networks = [row for row in rows if methods[row["method"]]["family"] == "network"]
+    found = {row["method"]: label(row) for row in sorted(networks, key=by_precision, reverse=True)}  # fp32 if there
+    return next((found[name] for name in (*PREFERRED, *sorted(found)) if name in found), "")
 
 
 def pooled(rows: Sequence[dict], sequences: dict[str, dict]) -> list[dict]:

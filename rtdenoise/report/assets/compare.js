@@ -23,7 +23,7 @@ function drawPictures() {
 
 function buildControls(there) {
   const change = (key) => (value) => { viewer[key] = value; drawPictures(); };
-  const order = ["noisy", ...Object.keys(DATA.methods).filter((name) => name !== "noisy"), "reference"];
+  const order = unique(["noisy", ...DATA.rows.map((row) => row.label), ...there.filter((name) => name !== "reference"), "reference"]);
   const list = Object.fromEntries(order.filter((name) => there.includes(name)).map((name) => [name, name]));
   const sequences = Object.fromEntries(Object.keys(DATA.pictures).map((name) => [name, name]));
   const flips = document.querySelector(`script[data-key="${CSS.escape(`${viewer.sequence}/${DATA.ours}/flip`)}"]`) !== null;
