@@ -29,7 +29,7 @@ from rtdenoise.files import write_atomically
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.motion import dual_motion, on_screen
 from rtdenoise.render.card import write_card
-from rtdenoise.render.clips import render_clips
+from rtdenoise.render.clips import refuse_other_options, render_clips
 from rtdenoise.render.draw import HELD_OUT, scene_seed
 from rtdenoise.render.frames import RenderOptions, describe_frame, features
 from rtdenoise.render.options import ClipOptions, find_scenes, parse_shard
@@ -507,6 +507,18 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
     with pytest.raises(InputError, match=r"scene\.json: is of another scene, motion or size"):
         render_sequence(moved, out, 2, SEQUENCE, progress=lambda line: None)
     assert (out / "scene.json").read_bytes() == before
+
+
+def test_clips_with_pictures_of_two_folders_are_not_mixed(tmp_path):
+    facts = {"generator": 3, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
+    bark, moss = (replace(TINY, textures=f"my/{name}") for name in ("bark", "moss"))
+    older = bark.scenes_are_of() | {"textures": True}
+    for told in ({"scenes_are_of": bark.scenes_are_of()}, {"scenes_are_of": older, "pictures": {"folder": "bark"}}):
+        save_file({"x": np.zeros(1)}, clip_path(tmp_path, 0), metadata={"clip": json.dumps(facts | told)})
+        refuse_other_options(tmp_path, bark)
+        for options, now in ((moss, "moss"), (TINY, "None")):
+            with pytest.raises(InputError, match=f"textures = bark, not {now}"):
+                refuse_other_options(tmp_path, options)
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,9 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
         if not options.assets and not options.metropolis:  # there they differ from clip to clip
             expected |= {"spp": options.spp}
         found = facts.get("scenes_are_of", {}) | {key: facts.get(key) for key in expected}
+        if isinstance(any_pictures := found.get("textures"), bool):  # older sets do not tell which, but for their clips
+            folder = facts.get("pictures", {}).get("folder", options.textures_are_of)
+            found["textures"] = folder if any_pictures else None
         for key, value in (expected | options.scenes_are_of()).items():
             if found.get(key) != value:
                 raise InputError(f"{path}: was rendered with {key} = {found.get(key)}, not {value}; choose another "

@@ -100,6 +100,11 @@ class ClipOptions:
         """The seed in the facts of clip `index`: with generator 1 its scene's, else that of the set."""
         return self.seed + index if self.generator == 1 and not self.metropolis else self.seed
 
+    @property
+    def textures_are_of(self) -> str | None:
+        """The name of the folder of pictures."""
+        return Path(self.textures).resolve().name if self.textures else None
+
     def scenes_are_of(self) -> dict:
         """The options that choose and light scenes, without paths of the machine.
 
@@ -112,7 +117,7 @@ class ClipOptions:
             return {}
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]
         choice = {"sun": self.sun, "calm": self.calm, "lead_in": self.lead_in}
-        choice |= {"files": files, "textures": bool(self.textures), "reference_error": self.reference_error}
+        choice |= {"files": files, "textures": self.textures_are_of, "reference_error": self.reference_error}
         if self.assets:
             spp = {"least_spp": self.spp, "most_spp": self.most_spp}
             choice |= {"assets": Path(self.assets).name, "stills": self.stills} | spp
