@@ -580,6 +580,12 @@ def test_mitsuba_file_is_set_in_motion(tmp_path):
                             ("[[object]]\nshapes = 'ball'", "expected a list of names"),
                             ("[[object]]\nshapes = ['crate_*']\nperiod = 0", "period = 0: expected more than 0"),
                             ("[[object]]\nshapes = ['crate_*']\naxis = [0, 0, 0]", "expected a direction"),
+                            ("[[object]]\nshapes = ['ball']\nkeys = [{frame = 0}]\nhold = 'no'",
+                             "hold = 'no': expected true or false"),
+                            ("[camera]\nframe = 3", "camera: unknown key 'frame'; expected one of aperture"),
+                            ("[[cut]]\nframe = 3\nspeed = 1", "cut: unknown key 'speed'; expected one of aperture"),
+                            ("[camera]\npan = true", "pan = True: expected 1 number"),
+                            ("[camera]\nsensor = false", "sensor False asked for"),
                             ("[[extra]]\nsize = 0", "size = 0: expected more than 0"),
                             ("[[extra]]\nroughness = 3", "roughness = 3: expected 0 to 1"),
                             ("brightness = ", "not valid TOML"), ("# \udcff", "not valid TOML")):  # fmt: skip

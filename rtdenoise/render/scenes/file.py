@@ -62,7 +62,8 @@ def open_file(path: str | Path, motion: str | Path | None = None) -> Scene:
     where = f"{motion or path}"
     objects = _objects(_tables(script, "object", where), [shape.id() for shape in loaded.shapes()], where)
     cuts = _tables(script, "cut", where)
-    paths = [_camera(entry, loaded, where) for entry in (script.get("camera", {}), *cuts)]
+    paths = [_camera(script.get("camera", {}), loaded, f"{where}: camera", CAMERA_KEYS)]
+    paths += [_camera(cut, loaded, f"{where}: cut", CAMERA_KEYS | {"frame"}) for cut in cuts]
     frames = tuple(_number(cut, "frame", f"{where}: cut") for cut in cuts)
     if list(frames) != sorted(set(frames)):
         raise InputError(f"{where}: cuts must be in the order of their frames, found {list(frames)}")
@@ -152,7 +153,9 @@ def _keyframes(entry: dict, parts: dict[str, int], where: str, default: dict) ->
         rows.append(tuple(row))
     if not frames or frames != sorted(set(frames)):
         raise InputError(f"{where}: keys must be in the order of their frames, found {frames}")
-    return Keyframes(tuple(frames), tuple(rows), bool(entry.get("hold", False)), where)
+    if not isinstance(hold := entry.get("hold", False), bool):
+        raise InputError(f"{where}: hold = {hold!r}: expected true or false")
+    return Keyframes(tuple(frames), tuple(rows), hold, where)
 
 
 def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object:
@@ -181,22 +184,22 @@ def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object
     return Object(id, name, mesh.transform(rigid(np.eye(3), place)), material, motion=motion)
 
 
-def _camera(entry: dict, loaded, where: str) -> CameraPath:
+def _camera(entry: dict, loaded, where: str, known: set[str]) -> CameraPath:
     mi = start_mitsuba()
-    _check(entry, CAMERA_KEYS | {"frame"}, f"{where}: camera")
+    _check(entry, known, where)
     sensors, index = loaded.sensors(), entry.get("sensor", 0)
-    if not isinstance(index, int) or not 0 <= index < len(sensors):
+    if type(index) is not int or not 0 <= index < len(sensors):
         raise InputError(f"{where}: sensor {index} asked for, the scene has {len(sensors)}")
     parameters = mi.traverse(sensors[index])
     if "x_fov" not in parameters:
         raise InputError(f"{where}: sensor {index} is no perspective camera")
     pose = np.array(sensors[index].world_transform().matrix, np.float64).reshape(4, 4)
     origin, forward = pose[:3, 3], pose[:3, 2] / np.linalg.norm(pose[:3, 2])
-    target = origin + forward * _number({"distance": 4.0} | entry, "distance", f"{where}: camera")
+    target = origin + forward * _number({"distance": 4.0} | entry, "distance", where)
     fov = float(parameters["x_fov"][0])
-    moves = _arguments(CameraPath, entry, f"{where}: camera")
+    moves = _arguments(CameraPath, entry, where)
     if "keys" in entry:
-        moves["keys"] = _keyframes(entry, CAMERA_FRAME, f"{where}: camera", {})
+        moves["keys"] = _keyframes(entry, CAMERA_FRAME, where, {})
     return CameraPath(tuple(origin.tolist()), tuple(target.tolist()), fov, **moves)
 
 
@@ -217,7 +220,7 @@ def _number(entry: dict, key: str, where: str) -> float:
 
 def _numbers(value, count: int, where: str, name: str) -> list:
     numbers, where = value if isinstance(value, list) else [value], f"{where}: {name}"
-    if len(numbers) != count or not all(isinstance(n, int | float) and abs(n) <= LARGEST for n in numbers):
+    if len(numbers) != count or not all(type(n) in (int, float) and abs(n) <= LARGEST for n in numbers):
         raise InputError(f"{where} = {value!r}: expected {count} number(s) of at most {LARGEST:g}")
     if name in ABOVE_0 and not all(n > 0 for n in numbers):
         raise InputError(f"{where} = {value!r}: expected more than 0")
