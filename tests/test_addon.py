@@ -151,6 +151,14 @@ def test_a_job_counts_and_does_what_comes_after(parts, tmp_path):
     assert (tmp_path / "after").exists()
 
 
+def test_what_a_program_prints_is_read_whatever_the_systems_encoding(parts):
+    said, plain = [], {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}  # a pipe has ASCII then
+    failing = stage(parts, r"print('Stra\u00dfe.exr'); raise SystemExit(1)", explain=said.extend, environment=plain)
+    with pytest.raises(parts["process"].Trouble):
+        wait(parts["process"].Job([failing]))
+    assert said == ["Straße.exr"]
+
+
 def test_a_stage_that_fails_ends_the_job_in_a_sentence(parts, tmp_path):
     trouble = parts["process"].Trouble
     job = parts["process"].Job([stage(parts, "print('why'); raise SystemExit(3)"), stage(parts, "")])

@@ -9,12 +9,13 @@ import signal
 import subprocess
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 COUNT = re.compile(r"(\d+)/(\d+)")  # a line that says how far a program is: 3/24
 KEPT = 40  # lines of output, for the sentence about a failure
+UTF8 = {"PYTHONIOENCODING": "utf-8"}  # a pipe of Windows has the encoding of the language otherwise
 PATIENCE = 5.0  # seconds to end after being asked
 
 
@@ -31,7 +32,7 @@ class Stage:
     explain: Callable[[list[str]], str]  # the lines it printed -> a sentence, where it failed
     optional: bool = False  # whether the job goes on without it
     after: Callable[[], None] = lambda: None  # to do when it has ended well
-    environment: Mapping[str, str] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
 
 
 class Job:
@@ -91,7 +92,7 @@ class Job:
         try:
             self._process = subprocess.Popen(
                 stage.command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                encoding="utf-8", errors="replace", env=clean_environment() | dict(stage.environment), **group,
+                encoding="utf-8", errors="replace", env=clean_environment() | UTF8 | stage.environment, **group,
             )  # fmt: skip
         except OSError as error:
             self._stages.clear()
