@@ -424,7 +424,7 @@ def test_bad_requests_are_one_line(shot, tmp_path, capsys):
         assert stopped.value.code == 2
         message = capsys.readouterr().err
         assert expected in message and message.count("\n") == 1
-    for wrong in ("[3]", '{"spp": 1e400}', '{"spp": 0}', '{"sample_ms": -1}'):
+    for wrong in ("[3]", '{"spp": 1e400}', '{"spp": 0}', '{"spp": 2.7}', '{"spp": true}', '{"sample_ms": -1}'):
         (shot / "samples.json").write_text(wrong)
         with pytest.raises(InputError, match=r"samples\.json: expected"):
             run([str(shot)], out, EvaluateOptions(("noisy",)))

@@ -151,9 +151,9 @@ def _facts(path: Path) -> dict:
         return {}
     facts = read_json(path)
     try:
-        spp, sample_ms = int(facts.get("spp", 1)), float(facts.get("sample_ms") or 0)
-        if spp < 1 or not 0 <= sample_ms < math.inf:
-            raise ValueError(f"spp {spp}, sample_ms {sample_ms:g}")
-        return ({"spp": spp} if "spp" in facts else {}) | {"sample_ms": sample_ms or None}
+        spp, sample_ms = facts.get("spp", 1), float(facts.get("sample_ms") or 0)
+        if isinstance(spp, bool) or int(spp) != spp or spp < 1 or not 0 <= sample_ms < math.inf:
+            raise ValueError(f"spp {spp!r}, sample_ms {sample_ms:g}")
+        return ({"spp": int(spp)} if "spp" in facts else {}) | {"sample_ms": sample_ms or None}
     except (ValueError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f'{path}: expected {{"spp": 1, "sample_ms": 38.5}}, found otherwise ({error})') from None
