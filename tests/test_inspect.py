@@ -174,6 +174,15 @@ def test_a_thing_that_turns_is_no_camera(tmp_path):
     assert inspect(write(tmp_path, made)).normals == ""
 
 
+def test_frames_that_are_all_before_0_may_be_in_the_wrong_order(tmp_path):
+    for file in list(write(tmp_path, frames()).iterdir()):  # from 1 on; the dash separates
+        file.rename(tmp_path / f"shot.-{file.name}")
+    found = inspect(tmp_path)
+    assert found.convention.status == "wrong" and found.numbers == (-FRAMES, -1)
+    assert "so that -4 is the first; if the - before them only separates, time runs backwards" in render_text(found)
+    assert next_step(found).startswith("mend the order of the frames or the motion vectors")
+
+
 def test_flat_normals_say_nothing(tmp_path):
     made = [{**f, "normal": np.broadcast_to(curved(f, 3 * k)[:1, :1], (H, W, 3))} for k, f in enumerate(frames())]
     assert inspect(write(tmp_path, made)).normals == ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -14,6 +15,7 @@ from synthetic import message
 
 from rtdenoise.data import layouts, recognise
 from rtdenoise.data.exr import read_header, write_layers
+from rtdenoise.data.files import number_files
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.output import write_frame
 from rtdenoise.frame import OFF_SCREEN
@@ -293,6 +295,20 @@ def test_frame_numbers_that_are_missing_or_there_twice(tmp_path):
     assert message(open_sequence, folder) == (
         f"{folder / 'beauty.exr'}: no frame number in the name; expected digits, as in frame.0001.exr"
     )
+
+
+@pytest.mark.parametrize(
+    ("runs", "numbers"),
+    [
+        (["-0001", "0000", "0001"], (-1, 0, 1)),
+        (["-0002", "-0001"], (-2, -1)),
+        (["-0000", "-0001", "-0002"], (0, 1, 2)),  # there is no frame -0
+        (["-1001", "-1002"], (1001, 1002)),
+    ],
+)
+def test_a_dash_before_frame_numbers_is_a_sign_where_it_can_be_one(runs, numbers):
+    files = [Path(f"v2.{run}.exr") for run in runs]
+    assert number_files(files[::-1]) == list(zip(numbers, files, strict=True))
 
 
 def test_frames_that_differ_from_the_first(tmp_path):

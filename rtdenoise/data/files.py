@@ -24,6 +24,7 @@ from .exr_format import ExrHeader
 NUMBER = r"(?:(?<=[._ ])-)?\d+"  # a sign stands behind a separator, where it is none itself
 DESCRIBE = "where each layer has a file, rtdenoise inspect DIR --write my.toml describes them"
 VERSION = r"(?<![A-Za-z])(v|V)\d+"
+NO_SIGN = 1000  # no show has as many frames before 0: a - before them only separates
 SAMPLES = r"\d+ ?(?i:spp)(?![A-Za-z])"
 
 
@@ -114,6 +115,14 @@ def describe_gap(gap: tuple[int, int]) -> str:
     return f"{first}" if first == last else f"{first} to {last}"
 
 
+def told_of_order(numbers: Sequence[int]) -> list[str]:
+    """What there is to say of frames that may be in the wrong order."""
+    if len(numbers) < 2 or numbers[-1] >= 0:
+        return []
+    return [f"all frames have numbers below 0, so that {numbers[0]} is the first; if the - before them only separates, "
+            "time runs backwards: rename the files without it"]  # fmt: skip
+
+
 def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Path]:
     """The files of a folder or glob, unordered, without hidden ones: unfinished files have hidden names."""
     path = Path(path_or_glob)
@@ -172,8 +181,17 @@ def frame_numbers(names: Iterable[str]) -> dict[str, re.Match | None]:
     for kind in kinds.values():
         runs = list(zip(*kind.values(), strict=True)) or [(None,) * len(kind)]
         free = [of for of in runs if of[0] and (_alone(of[0]) or len({int(run[0]) for run in of}) > 1)]
-        found |= zip(kind, (free or runs)[-1], strict=True)
+        found |= zip(kind, _unsigned((free or runs)[-1]), strict=True)
     return found
+
+
+def _unsigned(runs: tuple[re.Match | None, ...]) -> tuple[re.Match | None, ...]:
+    """The numbers of one kind of names; without signs where all have one and one of them can be none, as in `-0000`."""
+    if not all(run and run[0].startswith("-") for run in runs):
+        return runs
+    if all(-NO_SIGN < int(run[0]) < 0 for run in runs):
+        return runs
+    return tuple(re.compile(r"\d+").match(run.string, run.start() + 1) for run in runs)
 
 
 def _alone(run: re.Match) -> bool:

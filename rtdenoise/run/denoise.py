@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..constants import SOFTWARE_RENDERER
+from ..data.files import told_of_order
 from ..data.opening import open_sequence
 from ..data.output import write_frame
 from ..data.output_files import check_output, output_names
@@ -211,7 +212,7 @@ def _read(sequence: Sequence, i: int) -> Frame:
 
 def _notes(sequence: Sequence, options: Options, backend: Backend) -> list[str]:
     """What the user should know of the choice of model, device and options."""
-    notes, device = [], backend.ran["device"]
+    notes, device = told_of_order(sequence.numbers), backend.ran["device"]
     if SOFTWARE_RENDERER in device:
         notes.append(f"the shaders run on the CPU, by {device}: PyTorch (--backend torch) is many times as fast")
     if len(sequence) > 1 and backend.config.motion is None:

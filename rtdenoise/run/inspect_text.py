@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..data.exr_format import group_channels
-from ..data.files import describe_gap
+from ..data.files import describe_gap, told_of_order
 from ..data.layouts import MITSUBA, NATIVE
 from ..errors import INSTALL_TORCH
 from .inspect import HAS_TORCH, Inspection
@@ -30,7 +30,8 @@ def next_step(found: Inspection, options: Mapping[str, str | bool] = MappingProx
     describe = shlex.join(["rtdenoise", "inspect", found.source, *given, "--write", "my.toml"])
     if found.convention and found.convention.status == "wrong":
         advice = f", or describe them: {describe}" if found.preset in (NATIVE.name, "cycles") else ""
-        return f"mend the motion vectors as said above{advice}: with these, history comes from wrong places"
+        order = "the order of the frames or " if told_of_order(found.numbers) else ""
+        return f"mend {order}the motion vectors as said above{advice}: with these, history comes from wrong places"
     if found.guessed:
         return f"{describe}, which describes {', '.join(found.guessed)}: the files seem to call them otherwise"
     if found.stopped and found.preset in (NATIVE.name, MITSUBA.name):
@@ -91,6 +92,7 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
     divided = ", already divided by the albedo" if found.demodulated else ""
     lines = [
         ("frames", f"{found.files} files, {W}×{H}, numbers {first} to {last}{gaps}"),
+        *(("", line) for line in told_of_order(found.numbers)),
         ("layout", f"{found.preset}; signal {found.signal}{divided}; scene.json: {scene}"),
         ("not used", group_channels(found.ignored) or "-"),
         ("examined", f"frames {_shorten(found.examined)}"),
