@@ -100,6 +100,15 @@ def test_out_that_is_called_like_a_picture(tmp_path, capsys, command):
     assert not (tmp_path / "new.exr").exists()
 
 
+@pytest.mark.parametrize("command", ["inspect {}", "inspect --signal color {}", "combine {} --out out"])
+def test_other_commands_ask_for_quotes_too(command, tmp_path, capsys):
+    frames = sorted(map(str, write_sequence(tmp_path, make_frames(3)).glob("*.exr")))
+    with pytest.raises(SystemExit, match="2"):
+        main(command.format(" ".join(frames)).split())
+    told = capsys.readouterr().err
+    assert "put the glob in quotes, or name the folder, " in told and told.count("\n") == 1
+
+
 def test_more_workers_than_cores_have_a_thread_each(tmp_path, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     place = Denoise((), tmp_path, workers=5)._place(shots=8)

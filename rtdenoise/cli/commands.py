@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args
 
@@ -49,12 +50,17 @@ PLACEHOLDERS = {str: "NAME", int: "N", float: "X", Path: "PATH"}  # in the help
 def parse(arguments: list[str]) -> Any:
     """The command that these words ask for. Exits with 0 after --help, with 2 after an option that means nothing.
 
-    Raises InputError for an unknown command.
+    Raises InputError for an unknown command, and for files that a shell has put for a glob.
     """
     verb = arguments[0] if arguments else "-"
     if not verb.startswith("-") and verb not in VERBS:
         raise InputError(f"no command {verb!r}{did_you_mean(verb, VERBS)}; expected one of {', '.join(VERBS)}")
-    return tyro.cli(Command, args=arguments, prog="rtdenoise", description=ABOUT, registry=READERS)
+    read = partial(tyro.cli, Command, args=arguments, prog="rtdenoise", description=ABOUT, registry=READERS)
+    command, unknown = read(return_unknown_args=True)
+    if frames := [word for word in unknown if word.lower().endswith(".exr") and Path(word).is_file()]:
+        raise InputError(f"{frames[0]}: is one file more than {verb} takes: put the glob in quotes, or name the "
+                         f"folder, {Path(frames[0]).parent}")  # fmt: skip
+    return read() if unknown else command  # which names what is unknown, and what is near
 
 
 READERS = ConstructorRegistry()
