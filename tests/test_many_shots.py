@@ -115,6 +115,13 @@ def test_more_workers_than_cores_have_a_thread_each(tmp_path, monkeypatch):
     assert (place.count, place.threads) == (5, 1)
 
 
+def test_workers_for_one_sequence_are_told(tmp_path, capsys):
+    shot = write_sequence(tmp_path / "shot", make_frames(1))
+    for workers in ([], ["--workers", "3"]):
+        main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", *workers])
+        assert ("--workers: shares out shots, and a sequence is one" in capsys.readouterr().out) == bool(workers)
+
+
 def test_workers_below_one(capsys):
     with pytest.raises(SystemExit):
         main(["denoise", "shot", "--out", "out", "--workers", "0"])

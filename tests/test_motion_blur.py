@@ -406,8 +406,13 @@ def test_a_finished_run_knows_its_surfaces(shot, tmp_path):
     options = replace(OPTIONS, surfaces=str(shot[1]))
     denoise(str(shot[0]), tmp_path / "out", options)
     assert denoise(str(shot[0]), tmp_path / "out", options).skipped == 4
-    denoise(str(shot[0]), tmp_path / "plain", OPTIONS)
-    assert denoise(str(shot[0]), tmp_path / "plain", replace(OPTIONS, shutter=0.3)).skipped == 4, "it is not used"
+    assert not any("--shutter" in note for note in denoise(str(shot[0]), tmp_path / "plain", OPTIONS).notes)
+    unused = denoise(str(shot[0]), tmp_path / "plain", replace(OPTIONS, shutter=0.3))
+    assert unused.skipped == 4, "it is not used"
+    assert "--shutter, --shutter-position: change nothing without --motion-blur or --surfaces" in unused.notes
+    corrected = CombineOptions(model="shrinkage", shutter_position="end")
+    notes = combine(str(shot[0]), str(tmp_path / "plain"), tmp_path / "better", corrected).notes
+    assert "--shutter, --shutter-position: change nothing without --surfaces" in notes
     for spelling in (f"{shot[1]}/", f"{shot[1]}/*.exr"):
         assert denoise(str(shot[0]), tmp_path / "out", replace(options, surfaces=spelling)).skipped == 4
     with pytest.raises(InputError, match=re.escape("shutter 0.5, now 0.4")):

@@ -63,6 +63,7 @@ class Denoise:
     def _denoise_one(self, source: str) -> None:
         with frame_progress(self.progress, "denoising") as on_frame:
             lines = denoise_shot(self, source, self.out, on_frame)
+        lines += ["--workers: shares out shots, and a sequence is one"] * (self.workers is not None)
         print(f"{self.out}: " + "\n".join(lines))
 
     def _denoise_many(self, shots: dict[str, str]) -> None:

@@ -20,7 +20,7 @@ from ..files import lock, remove_unfinished
 from .choice import told_of_samples
 from .folder import prepare
 from .lens_motion import with_lens_if_lacking
-from .options import CombineOptions, Summary, check_samples
+from .options import CombineOptions, Summary, check_samples, told_of_shutter
 from .panorama import with_panorama
 from .surfaces import with_surfaces
 
@@ -72,7 +72,7 @@ def combine(
         check_second(source, second)
         check_pairs(source, second, "second")
     same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
-    notes = [*joined, *found, *([same] if repeats(source, estimates) else [])]
+    notes = [*joined, *found, *told_of_shutter(options), *([same] if repeats(source, estimates) else [])]
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
     for one in (estimates, *([second] if second else [])):

@@ -28,7 +28,7 @@ from .folder import Written, are_finished, digest, prepare, refuse_foreign, refu
 from .following import Following
 from .in_parts import in_parts
 from .offline_picture import Picture
-from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check, of_output
+from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check, of_output, told_of_shutter
 from .shadows import LEFT, find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, Due, finish_state, last_of_shot, read_state, save_state
@@ -107,7 +107,8 @@ def denoise(
         if picture:
             picture.remove(sequence)
     lens = [sequence.drifts.told] if options.lens else []
-    summary.notes = list(dict.fromkeys([*notes, *told_of_output(sequence, options), *summary.notes, *lens]))
+    unread = [*told_of_shutter(options), *told_of_output(sequence, options)]
+    summary.notes = list(dict.fromkeys([*notes, *unread, *summary.notes, *lens]))
     return summary
 
 

@@ -207,6 +207,15 @@ def shutter_times(options: Options | CombineOptions) -> tuple[float, float]:
     return middle - options.shutter / 2, middle + options.shutter / 2
 
 
+def told_of_shutter(options: Options | CombineOptions) -> list[str]:
+    """What there is to say of a shutter that nothing reads."""
+    chosen = (options.shutter, options.shutter_position) != (Options.shutter, Options.shutter_position)
+    if options.surfaces or not chosen or getattr(options, "motion_blur", False):
+        return []
+    readers = "--motion-blur or --surfaces" if isinstance(options, Options) else "--surfaces"
+    return [f"--shutter, --shutter-position: change nothing without {readers}"]
+
+
 def check_lookahead(frames: int | str, told: str = "--lookahead") -> None:
     """Raise InputError for a number of frames to look ahead that is out of range."""
     whole = isinstance(frames, Integral) and not isinstance(frames, bool)
