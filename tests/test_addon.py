@@ -212,6 +212,15 @@ def test_a_copy_shares_the_physics_baked_to_disk(parts, tmp_path, monkeypatch, l
     assert not any(copy.parent.iterdir()) and baked.exists()
 
 
+def test_a_job_begins_anew_where_an_offline_one_was_cancelled(parts, tmp_path):
+    """Which leaves the first pass's estimates in a folder beside the frames."""
+    for name in ("frame.0001.exr", "denoise.json", ".rtdenoise-state.safetensors", ".rtdenoise-forward/0.npy", "notes"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    parts["work"].remove_frames(tmp_path, tmp_path / "nothing")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes"]
+
+
 def test_a_python_with_rtdenoise_is_found(parts, tmp_path, monkeypatch):
     environment = parts["environment"]
     own = tmp_path / "own"

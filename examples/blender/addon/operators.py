@@ -92,7 +92,7 @@ class Watched:
         message = ""
         try:
             running = self.job(context)
-        except Trouble as trouble:
+        except (Trouble, OSError) as trouble:  # as in `_look`
             self._tell({"ERROR"}, trouble)
             return False
         return True

@@ -95,14 +95,22 @@ def begin(context: bpy.types.Context) -> Work:
     parts = Path(work.noisy), folder / "surfaces", Path(work.clean)
     if not (folder / JOB).exists() and any(part.exists() and any(part.iterdir()) for part in parts):
         raise Trouble(f"{folder} holds frames of something else: choose another folder under Denoise Animation")
-    for part in parts:
-        for path in [*part.glob("frame.*.exr"), *part.glob(".rtdenoise*"), *part.glob("denoise.json")]:
-            path.unlink()
+    remove_frames(*parts)
     remove_leftovers(work)
     write(work)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / COPY), copy=True, relative_remap=True, compress=True)
     share_cache(Path(bpy.data.filepath), folder / COPY)
     return work
+
+
+def remove_frames(*folders: Path) -> None:
+    """Remove the frames of a job, and what rtdenoise keeps beside them until it is done."""
+    for folder in folders:
+        for path in [*folder.glob("frame.*.exr"), *folder.glob(".rtdenoise*"), *folder.glob("denoise.json")]:
+            if path.is_dir() and not path.is_symlink():  # a cancelled --offline had a first pass there
+                shutil.rmtree(path)
+            else:
+                path.unlink()
 
 
 def blurs(context: bpy.types.Context) -> bool:
