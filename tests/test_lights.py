@@ -13,6 +13,8 @@ from synthetic import Stop, make_frames, stop_after, write_sequence
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels, read_header, write_layers
+from rtdenoise.data.light import find_light
+from rtdenoise.data.light_output import write_light
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.models import load, noiseless
@@ -75,6 +77,19 @@ def test_the_passes_in_the_file_add_up_to_combined(source):
     for path in source:
         combined = image(path, "Combined")
         np.testing.assert_allclose(sum_of_lights(path), combined, rtol=HALF, atol=1e-4)
+
+
+def test_light_that_half_floats_do_not_hold_once_its_colour_is_divided_out(tmp_path):
+    (path,) = sorted(SHOT.glob("*.exr"))[:1]
+    planes = read_channels(path, list(read_header(path).channels))
+    write_layers(tmp_path / path.name, planes, dtypes=dict.fromkeys(planes, "half"))
+    sequence = open_sequence(tmp_path)
+    passes, (height, width) = find_light(sequence, True, ()), sequence.size
+    parts = {name: np.zeros((1, 3, height, width), np.float32) for name in passes.rules}
+    picture = parts["Glossy Direct"] = np.full((1, 3, height, width), 2000, np.float32)  # of a black lobe
+    (tmp_path / "out").mkdir()
+    write_light(tmp_path / "out", sequence, 0, passes, picture, parts, layout="source")
+    np.testing.assert_allclose(sum_of_lights(tmp_path / "out" / path.name), picture[0], rtol=HALF)
 
 
 def test_the_picture_is_between_that_without_lights_and_the_sum_of_the_lights(plain, source, tmp_path, monkeypatch):

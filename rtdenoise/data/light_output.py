@@ -47,6 +47,7 @@ def write_light(
     float32 = float32 or any(map(beyond_half, (picture, *parts.values())))
     if layout == "source":
         planes = _source_planes(sequence, passes, picture, parts) | ({} if alpha == "rendered" else covered)
+        float32 = float32 or any(map(beyond_half, planes.values()))  # what a dark colour divides is brighter
         return write_like(out / path.name, path, planes, dtype="float" if float32 else None)
     layers: dict[str, np.ndarray] = {"color": np.moveaxis(picture[0], 0, 2)}
     for name in passes.also:  # by full channel names: a layer may be called `color` or `A`
