@@ -115,6 +115,13 @@ def test_more_workers_than_cores_have_a_thread_each(tmp_path, monkeypatch):
     assert (place.count, place.threads) == (5, 1)
 
 
+def test_programs_are_told_how_many_shots_are_done(tmp_path, capfd):
+    for name in ("a", "b"):
+        write_sequence(tmp_path / name, make_frames(1))
+    main(["denoise", str(tmp_path / "*"), "--out", str(tmp_path / "out"), "--model", "fast", "--progress", "lines"])
+    assert [line for line in capfd.readouterr().out.splitlines() if "/2" in line] == ["1/2", "2/2"]
+
+
 def test_workers_for_one_sequence_are_told(tmp_path, capsys):
     shot = write_sequence(tmp_path / "shot", make_frames(1))
     for workers in ([], ["--workers", "3"]):

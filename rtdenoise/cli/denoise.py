@@ -40,7 +40,8 @@ class Denoise:
     preview: bool = False
     """Also write preview.png and an animation: noisy | denoised | reference."""
     progress: Literal["bar", "lines"] = "bar"
-    """How far it is: a bar, or a line such as 3/24 after each frame, for programs that show it themselves."""
+    """How far it is: a bar, or a line such as 3/24 after each frame, of several shots after each shot, for programs
+    that show it themselves."""
     workers: Annotated[int | None, arg(help_behavior_hint="(default: one for every four cores)")] = None
     """Shots that are denoised at a time, by a process each."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
@@ -72,13 +73,18 @@ class Denoise:
         failed = 0
         with progress_bar("denoising shots") as bar:
             task = bar.add_task("denoise", total=len(shots))
-            bar.update(task, completed=0)
+            lines = self.progress == "lines"
+            if not lines:
+                bar.update(task, completed=0)
             results = self._place(len(shots)).run(_try, jobs, _start, KILLED)
-            for done, (job, lines) in enumerate(results, start=1):
-                failed += isinstance(lines, InputError)
-                told_of = f"failed: {lines}" if isinstance(lines, InputError) else "; ".join(lines)
+            for done, (job, said) in enumerate(results, start=1):
+                failed += isinstance(said, InputError)
+                told_of = f"failed: {said}" if isinstance(said, InputError) else "; ".join(said)
                 bar.console.print(f"{job[2]}: {told_of}", soft_wrap=True)
-                bar.update(task, completed=done)
+                if lines:
+                    print(f"{done}/{len(shots)}", flush=True)
+                else:
+                    bar.update(task, completed=done)
         if failed:
             others = "; the others are denoised" if failed < len(shots) else ""
             raise InputError(f"{failed} of {len(shots)} shots failed, as told above{others}")
