@@ -509,6 +509,17 @@ def test_a_run_with_other_options_into_the_folder_of_an_earlier_one(room, tmp_pa
     assert (out / "scene.json").read_bytes() == before
 
 
+def test_clips_of_two_motions_are_not_mixed(room, tmp_path):
+    facts = {"generator": 3, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
+    options = replace(TINY, scenes=((str(room), str(script(room, "[camera]\norbit = 1"))),))
+    header = {"clip": json.dumps(facts | {"scenes_are_of": options.scenes_are_of()})}
+    save_file({"x": np.zeros(1)}, clip_path(tmp_path, 0), metadata=header)
+    refuse_other_options(tmp_path, options)
+    script(room, "[camera]\norbit = 2")
+    with pytest.raises(InputError, match="was rendered with another motion of room; choose another --out"):
+        refuse_other_options(tmp_path, options)
+
+
 def test_clips_with_pictures_of_two_folders_are_not_mixed(tmp_path):
     facts = {"generator": 3, "seed": 5, "size": [32, 32], "frames": 3, "spp": 1, "max_depth": 6}
     bark, moss = (replace(TINY, textures=f"my/{name}") for name in ("bark", "moss"))

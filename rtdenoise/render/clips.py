@@ -102,10 +102,16 @@ def refuse_other_options(out: Path, options: ClipOptions) -> None:
         if isinstance(any_pictures := found.get("textures"), bool):  # older sets do not tell which, but for their clips
             folder = facts.get("pictures", {}).get("folder", options.textures_are_of)
             found["textures"] = folder if any_pictures else None
-        for key, value in (expected | options.scenes_are_of()).items():
+        choice = options.scenes_are_of()
+        motions = choice.pop("motions", {})
+        for key, value in (expected | choice).items():
             if found.get(key) != value:
                 raise InputError(f"{path}: was rendered with {key} = {found.get(key)}, not {value}; choose another "
                                  "--out or the options of that run")  # fmt: skip
+        before = found.get("motions", motions)  # of older sets they are not known
+        if changed := [name for name in motions if motions[name] != before.get(name)]:
+            raise InputError(f"{path}: was rendered with another motion of {changed[0]}; choose another --out, or the "
+                             "motion file of that run")  # fmt: skip
 
 
 def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError, did_you_mean
+from ..files import fingerprint
 from .metropolis import MetropolisOptions
 from .scenes import wide
 
@@ -116,7 +117,8 @@ class ClipOptions:
         if self.generator == 1:
             return {}
         files = [[Path(file).parent.name, bool(motion)] for file, motion in self.scenes]
-        choice = {"sun": self.sun, "calm": self.calm, "lead_in": self.lead_in}
+        motions = {Path(file).parent.name: fingerprint(Path(motion)) for file, motion in self.scenes if motion}
+        choice = {"sun": self.sun, "calm": self.calm, "lead_in": self.lead_in, "motions": motions}
         choice |= {"files": files, "textures": self.textures_are_of, "reference_error": self.reference_error}
         if self.assets:
             spp = {"least_spp": self.spp, "most_spp": self.most_spp}
