@@ -19,10 +19,12 @@ from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.ops import warp
+from rtdenoise.run.denoise import denoise
 from rtdenoise.run.describe import describe
 from rtdenoise.run.inspect import choose_pairs, inspect
 from rtdenoise.run.inspect_text import next_step, render_text
 from rtdenoise.run.normals import ENCODED, IN_CAMERA
+from rtdenoise.run.options import Options
 from rtdenoise.run.readings import READINGS, Reading
 from rtdenoise.run.unmoved import STOPPED, Watch
 
@@ -181,6 +183,8 @@ def test_frames_that_are_all_before_0_may_be_in_the_wrong_order(tmp_path):
     assert found.convention.status == "wrong" and found.numbers == (-FRAMES, -1)
     assert "so that -4 is the first; if the - before them only separates, time runs backwards" in render_text(found)
     assert next_step(found).startswith("mend the order of the frames or the motion vectors")
+    notes = denoise(str(tmp_path), tmp_path / "out", Options(model="fast")).notes
+    assert any("so that -4 is the first" in note for note in notes)
 
 
 def test_flat_normals_say_nothing(tmp_path):
