@@ -196,7 +196,7 @@ def test_averaged_light_is_less_noisy(model):
 @pytest.mark.parametrize("noise", [1.0, 0.1])
 def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model, noise):
     """Not in the first frame, where all of it is as noisy; in the second, the right half has come much nearer. In the
-    third all has, and all of it is as noisy again. The less noise there is, the less."""
+    third all has, and all of it is as noisy again. The less noise there is, or the less history stays, the less."""
     first, second, third = make_frames(3, H=24, W=32, noise=noise)
     right = torch.arange(32) >= 16
     second = replace(second, depth=torch.where(right, second.depth / 9, second.depth))
@@ -221,8 +221,27 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model, n
     share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
     noisy = noise_level(sanitise(second).radiance, second.depth) / EVENED_NOISE
     assert noisy > 1 if noise == 1 else 0.01 < noisy < 0.9
-    share = share * noisy.clamp(max=1)
+    share = share * noisy.clamp(max=1) * found.past.stays
     torch.testing.assert_close(evened, light + share * (kernels - light), rtol=1e-4, atol=1e-5)
+
+
+def test_light_that_has_changed_is_not_evened(model):
+    """Beside light that stays, of which many frames are known: nothing around knows that of the right half."""
+    trusting(model)
+    right, shown, history = torch.arange(96) >= 32, [], None
+    for frame, factor in zip(make_frames(3, H=48, W=96), (1.0, 8.0, 0.5), strict=True):
+        still = {"motion": 0 * frame.motion, "motion_next": 0 * frame.motion}
+        frame = replace(frame, radiance=torch.where(right, factor, 1.0) * frame.radiance, **still)
+        before = history
+        with watched(model, shown):
+            _, history = model.step(frame, before)
+    _, after, found = AccumulatedKPN.step_and_kernels(model, sanitise(frame), before)
+    light = seen(sanitise(frame), before, after)[:, :3]
+    changed, stayed = slice(40, 96), slice(8, 24)
+    assert (after.footprint_count[..., changed] == 1).all() and after.footprint_count[..., stayed].mean() > 1.5
+    assert found.past.stays[..., changed].max() < 0.01
+    evened = shown[-1] / scale_of(model, frame)
+    torch.testing.assert_close(evened[..., changed], light[..., changed], rtol=1e-4, atol=1e-5)
 
 
 def test_written_pixels_stay_within_the_light_around_them(model, monkeypatch):

@@ -178,7 +178,7 @@ class Pipeline:
             passes.keep_even_sky(inputs, result, denoised)
         if self.pixels:
             with self._stage("pixels"):
-                seen = shown = passes.recent.see(inputs, past, means.seen, reset)
+                seen = shown = passes.recent.see(inputs, past, means.seen, reset, turned)
                 if not (first or known.still or self.config.many) and history.recent:
                     shown = passes.recent.over(seen, inputs, vectors, history.recent)
                 self.pixels.mix(inputs, past, seen, shown, level, result, denoised)

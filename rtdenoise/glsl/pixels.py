@@ -32,7 +32,7 @@ class Pixels:
         self,
         inputs: Inputs,
         past: GpuArray,  # [H, W] rgb, flags
-        seen: GpuArray,  # [3, H, W] rgb, frames · albedo, trust · normal: with this frame
+        seen: GpuArray,  # [3, H, W] rgb, frames · albedo, trust · normal, stays: with this frame
         shown: GpuArray,  # the same with edges that move: what is filtered
         level: GpuArray,  # [2] of `Recent.level`
         result: GpuArray,  # [3, H, W] the kernels' picture, which becomes the mixture

@@ -82,13 +82,16 @@ class Recent:
                 dispatch("hybrid/look", size[::-1], through | {"kept": kept}, **at)
         return seen
 
-    def see(self, inputs: Inputs, past: GpuArray, seen: GpuArray | None, reset: GpuArray | None) -> GpuArray:
-        """Footprints [3, H, W] with this frame in them, and the trust in history. `seen`, `reset`: None in a first
-        frame."""
+    def see(
+        self, inputs: Inputs, past: GpuArray, seen: GpuArray | None, reset: GpuArray | None, turned: GpuArray | None
+    ) -> GpuArray:
+        """Footprints [3, H, W] with this frame in them, the trust in history, and how far that stays. `seen`, `reset`
+        and `turned`, of `Passes.outdated`: None in a first frame."""
         size = past.shape[:2]
         shown = self._scratch("seen", (3, *size, 4)) if seen is None else seen
         buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "past": past, "seen": shown}
-        dispatch("hybrid/see", size[::-1], buffers | {"reset": reset or past}, ALONE=int(seen is None))
+        buffers |= {"reset": reset or past, "turned": turned or past}
+        dispatch("hybrid/see", size[::-1], buffers, ALONE=int(seen is None), TURNS=int(turned is not None))
         return shown
 
     def over(self, seen: GpuArray, inputs: Inputs, vectors: GpuArray, recent: tuple[GpuArray, ...]) -> GpuArray:

@@ -60,7 +60,7 @@ class Hybrid(AccumulatedKPN):
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 noisy = (known.noise / EVENED_NOISE).clamp(max=1)
-                radiance = evened(radiance, after.footprint_count, image, trust * noisy)
+                radiance = evened(radiance, after.footprint_count, image, trust * noisy * past.stays)
             held, tells = held_and_tells(held, image.dtype)
         pixels = written(
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest

@@ -48,6 +48,12 @@ class Past:
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
 
+    @property
+    def stays(self) -> Tensor:
+        """The share that is not `turned` or `outdated`, `[B, 1, H, W]`; 1 where `uncovered`, as nothing is held."""
+        turned, outdated = (0.0 if share is None else share for share in (self.turned, self.outdated))
+        return torch.where(self.uncovered, 1.0, (1 - turned) * (1 - outdated))
+
 
 def reprojected(
     config: Config,

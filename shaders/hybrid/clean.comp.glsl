@@ -6,7 +6,7 @@
 #include "activations.glsl"
 #include "srgb.glsl"
 
-#pragma reads vec4 shown                 // [3, H, W] rgb, frames · albedo, trust · normal
+#pragma reads vec4 shown                 // [3, H, W] rgb, frames · albedo, trust · normal, stays
 #pragma reads FOUR albedo, FOUR normal   // [1, padded] what the networks wrote, ≥ 0
 #pragma writes vec4 result               // as `shown`
 

@@ -1,7 +1,7 @@
 #version 430
 // The input of the network that writes pixels: footprints, 9 channels, with light compressed in OIDN's unit, albedo and normal
 // in [0, 1]. Where one frame has seen a pixel, and more have seen those around it, some of the kernels' picture stands in for
-// light, the less noise there is, the less (EVEN, ops.evened, models.hybrid).
+// light, the less noise there is, or history stays, the less (EVEN, ops.evened, models.hybrid).
 // One invocation per pixel of the padded result, which is zero beyond the image.
 #pragma constants EVEN MIX_SEEN_ONCE PIXELS_LIGHT PIXELS_UNIT
 #pragma parameters ivec2 image_size
@@ -9,7 +9,7 @@
 #include "activations.glsl"
 #include "lift.glsl"
 
-#pragma reads vec4 shown           // [3, image_size] rgb, frames · albedo, trust · normal
+#pragma reads vec4 shown           // [3, image_size] rgb, frames · albedo, trust · normal, stays
 #pragma reads vec4 denoised        // [image_size] the kernels' picture
 #pragma reads vec4 cells           // of `hybrid/cells`
 #pragma reads float statistics     // [2] exposure, ·
@@ -27,8 +27,8 @@ void main() {
         return;
     }
     int i = at(pixel, image_size), plane = image_size.x * image_size.y;
-    vec4 light = shown[i], albedo = shown[i + plane];
-    vec3 colour = min(albedo.rgb, 1.0), normal = clamp(0.5 * shown[i + 2 * plane].xyz + 0.5, 0.0, 1.0), rgb = light.rgb;
+    vec4 light = shown[i], albedo = shown[i + plane], facing = shown[i + 2 * plane];
+    vec3 colour = min(albedo.rgb, 1.0), normal = clamp(0.5 * facing.xyz + 0.5, 0.0, 1.0), rgb = light.rgb;
     if (EVEN == 1) {
         float most = 0.0, once = 1.0 - clamp(light.w - 1.0, 0.0, 1.0);
         ivec2 extent = cells_of(image_size);
@@ -36,7 +36,8 @@ void main() {
             ivec2 cell = pixel / AROUND_CELL + ivec2(k % 3, k / 3) - 1;
             if (inside(cell, extent)) most = max(most, cells[at(cell, extent)].x);
         }
-        float share = 1.0 - (1.0 - MIX_SEEN_ONCE) * albedo.w * level[1] * once * clamp(most - 1.0, 0.0, 1.0);
+        float share = albedo.w * level[1] * facing.w * once * clamp(most - 1.0, 0.0, 1.0);
+        share = 1.0 - (1.0 - MIX_SEEN_ONCE) * share;
         rgb = mix(denoised[i].rgb, rgb, share);
     }
     rgb = greyed(rgb);

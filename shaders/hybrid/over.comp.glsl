@@ -83,5 +83,5 @@ void main() {
     front[i + plane] = vec4(onward, 0.0, 0.0);
     over[i] = vec4(total[0], seen[i].w);
     over[i + plane] = vec4(total[1], seen[i + plane].w);
-    over[i + 2 * plane] = vec4(total[2], 0.0);
+    over[i + 2 * plane] = vec4(total[2], seen[i + 2 * plane].w);
 }

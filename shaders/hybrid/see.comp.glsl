@@ -1,15 +1,17 @@
 #version 430
 // The footprint of each pixel with this frame in it (models.past.footprint), and the trust in history: 1 less how far the
-// network resets it. With ALONE it is what this frame shows.
+// network resets it; and how far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what
+// this frame shows.
 #pragma constants ALONE RECALL_SAME
 #include "image.glsl"
+#include "giving_way.glsl"
 #include "albedo.glsl"
 #include "past.glsl"
 
 #pragma reads vec4 light, vec4 guide, vec4 surface  // [H, W]
 #pragma reads vec4 past                             // [H, W] rgb, flags
 #pragma reads float reset                           // [H, W]; not read where ALONE
-#pragma changes vec4 seen                           // [3, H, W] rgb, frames · albedo, trust · normal
+#pragma changes vec4 seen                           // [3, H, W] rgb, frames · albedo, trust · normal, stays
 
 // With this frame in it: what differs by RECALL_SAME or less is the same, as kept frames are bfloat16.
 vec3 mean(vec3 before, vec3 now, float weight) {
@@ -22,16 +24,17 @@ void main() {
 
     int i = at(pixel, size), plane = size.x * size.y;
     vec3 rgb = light[i].rgb * divisor(guide[i]), albedo = guide[i].rgb, normal = surface[i].xyz;
-    float weight = 1.0, trust = 1.0;
+    float weight = 1.0, trust = 1.0, stays = 1.0;
     if (ALONE == 0) {
         weight = 1.0 / (1.0 + seen[i].w);
         weight += reset[i] * (1.0 - weight);
         if (has_history(past[i])) trust -= reset[i];
+        if (!is_uncovered(past[i])) stays -= giving_way(0.0, pixel);
         rgb = mean(seen[i].rgb, rgb, weight);
         albedo = mean(seen[i + plane].rgb, albedo, weight);
         normal = mean(seen[i + 2 * plane].xyz, normal, weight);
     }
     seen[i] = vec4(rgb, 1.0 / weight);
     seen[i + plane] = vec4(albedo, trust);
-    seen[i + 2 * plane] = vec4(normal, 0.0);
+    seen[i + 2 * plane] = vec4(normal, stays);
 }

@@ -6,7 +6,7 @@
 #include "activations.glsl"
 #include "srgb.glsl"
 
-#pragma reads vec4 shown                  // [3, image_size] rgb, frames · albedo, trust · normal
+#pragma reads vec4 shown                  // [3, image_size] rgb, frames · albedo, trust · normal, stays
 #pragma writes FOUR albedo, FOUR normal   // [1, size]
 
 void main() {
