@@ -41,8 +41,8 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     harness.publish(RESULT, {"rows": compared(shots, recall, BOUNDS)}, digits=4, pages=PAGES, tables=tables)
 
 
-def compared(shots: tuple[Path, ...], op: ModuleType, ways: dict[str, dict[str, float]]) -> list[dict]:
-    """Errors of OIDN and of `hybrid`, with each of the bounds of an op in C."""
+def compared(shots: tuple[Path, ...], part: ModuleType | type, ways: dict[str, dict]) -> list[dict]:
+    """Errors of OIDN and of `hybrid`, with each of these values of names of a part."""
     rows = []
     for shot in shots:
         frames = read(shot)
@@ -50,8 +50,8 @@ def compared(shots: tuple[Path, ...], op: ModuleType, ways: dict[str, dict[str, 
         rows.append({"shot": shot.name, "method": "OIDN"} | errors(frames, pictures_of_oidn(frames)))
         rows.append(single | {"method": "hybrid"} | errors(frames, singles(frames, "hybrid")))
         for mode, ahead in MODES.items():
-            for told, bounds in ways.items():
-                with patch.multiple(op, **bounds):
+            for told, values in ways.items():
+                with patch.multiple(part, **values):
                     found = errors(frames, pictures(frames, "hybrid", ahead))
                 rows.append({"shot": shot.name, "method": mode, "way": told} | found)
                 print(rows[-1], flush=True)

@@ -117,8 +117,8 @@ def build_fire(scene: bpy.types.Scene, frames: int) -> None:
     keyframe(scene.camera, frames, (-0.15, -4.6, 1.6), (0.15, -4.6, 1.6))
 
 
-def build_disco(scene: bpy.types.Scene, frames: int) -> None:
-    """Dots of light that a mirror ball throws sweep a room and what stands in it, by 3° a frame."""
+def hall(scene: bpy.types.Scene, frames: int) -> None:
+    """A room with a table and a ball, open behind the camera, which moves a little, in hardly any light."""
     plaster = material("plaster", (0.75, 0.72, 0.68), (0.65, 0.6, 0.58), 2)
     boards = material("boards", (0.35, 0.2, 0.1), (0.55, 0.35, 0.2), 3, roughness=0.5)
     box("floor", (0, 0, -0.05), (6, 6, 0.1), boards)
@@ -128,17 +128,39 @@ def build_disco(scene: bpy.types.Scene, frames: int) -> None:
         box(name, (side, 0, 1.5), (0.1, 6, 3), plaster)
     box("table", (0.3, 1.2, 0.4), (1.2, 0.8, 0.8), material("blue", (0.2, 0.3, 0.6), (0.6, 0.6, 0.7), 4))
     ball("ball", (-1.2, 1.5, 0.4), 0.4, material("red", (0.7, 0.2, 0.1), (0.9, 0.6, 0.2), 6))
+    sky(scene, (0.04, 0.05, 0.08))
+    bpy.ops.object.camera_add(rotation=(math.radians(88), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 24
+    keyframe(scene.camera, frames, (-0.2, -3.4, 1.5), (0.2, -3.3, 1.5))
+
+
+def build_disco(scene: bpy.types.Scene, frames: int) -> None:
+    """Dots of light that a mirror ball throws sweep a room and what stands in it, by 3° a frame."""
+    hall(scene, frames)
     bpy.ops.object.light_add(type="POINT", location=(0, 0.8, 2.2))
     lamp = bpy.context.object.data
     lamp.energy, lamp.shadow_soft_size, lamp.use_nodes = 3000, 0.01, True
     turn = {"Rotation": (0, 0, math.radians(3))}
     dots = moving_dots(lamp.node_tree, "Normal", 7, {0.18: (1, 1, 1, 1), 0.24: (0.01, 0.01, 0.012, 1)}, turn, frames)
     lamp.node_tree.links.new(dots, lamp.node_tree.nodes["Emission"].inputs["Color"])
-    sky(scene, (0.04, 0.05, 0.08))
-    bpy.ops.object.camera_add(rotation=(math.radians(88), 0, 0))
-    scene.camera = bpy.context.object
-    scene.camera.data.lens = 24
-    keyframe(scene.camera, frames, (-0.2, -3.4, 1.5), (0.2, -3.3, 1.5))
+
+
+def build_slides(scene: bpy.types.Scene, frames: int) -> None:
+    """The same room, in which a projector shows another slide every two frames."""
+    hall(scene, frames)
+    bpy.ops.object.light_add(type="SPOT", location=(0, -2.9, 1.9), rotation=(math.radians(87), 0, 0))
+    lamp = bpy.context.object.data
+    lamp.energy, lamp.shadow_soft_size, lamp.use_nodes = 500, 0.01, True
+    lamp.spot_size, lamp.spot_blend = 0.85, 0.05
+    nodes, links = lamp.node_tree.nodes, lamp.node_tree.links
+    slide, coordinates = nodes.new("ShaderNodeTexVoronoi"), nodes.new("ShaderNodeTexCoord")
+    slide.voronoi_dimensions, slide.inputs["Scale"].default_value = "4D", 9
+    for number in range(frames + 2):
+        slide.inputs["W"].default_value = 7.3 * (number // 2)
+        slide.inputs["W"].keyframe_insert("default_value", frame=number)
+    links.new(coordinates.outputs["Normal"], slide.inputs["Vector"])
+    links.new(slide.outputs["Color"], nodes["Emission"].inputs["Color"])
 
 
 def moving_dots(
@@ -190,5 +212,6 @@ GLOW_SETS = {
     "paint": build_paint,
     "fire": build_fire,
     "disco": build_disco,
+    "slides": build_slides,
     "ticker": build_ticker,
 }
