@@ -22,12 +22,12 @@ MODULES = (
     "combine_papers", "cycles", "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis",
     "missing_layers", "mltd", "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability",
     "tiles", "whole_run", "calibration.cuts", "diagnosis.activity", "diagnosis.alpha", "diagnosis.bias",
-    "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.evened", "diagnosis.exposure",
-    "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation", "diagnosis.ideal_history",
-    "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost", "diagnosis.many",
-    "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.panorama", "diagnosis.retextured", "diagnosis.scattered",
-    "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where",
-    "diagnosis.white",
+    "diagnosis.changed", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.evened",
+    "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation",
+    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost",
+    "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.panorama", "diagnosis.retextured",
+    "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion",
+    "diagnosis.where", "diagnosis.white",
 )  # fmt: skip
 
 
