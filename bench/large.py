@@ -20,7 +20,8 @@ from bench.harness import strips
 import numpy as np
 import tyro
 
-from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.evaluate.options import EvaluateOptions
+from rtdenoise.evaluate.run import run
 from rtdenoise.report.readings import label
 
 RESULT, PAGES = RESULTS / "large.json", (DOCS / "results" / "large.md",)

@@ -25,7 +25,8 @@ import tyro
 
 from bench.latency.methods import partly_in_bytes, settled, synthetic_frame
 from rtdenoise.baselines import Oidn
-from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.evaluate.options import EvaluateOptions
+from rtdenoise.evaluate.run import run
 from rtdenoise.frame import Known
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve

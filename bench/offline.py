@@ -29,7 +29,8 @@ import tyro
 
 from rtdenoise.color import display, display_exposure
 from rtdenoise.data.opening import open_sequence
-from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.evaluate.options import EvaluateOptions
+from rtdenoise.evaluate.run import run
 from rtdenoise.frame import Frame, reverse
 from rtdenoise.run import combination
 from rtdenoise.run.passes import Passes

@@ -28,7 +28,8 @@ from bench.harness import standard, strips
 import tyro
 
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.evaluate.options import EvaluateOptions
+from rtdenoise.evaluate.run import run
 from rtdenoise.report.markdown import write_number
 from rtdenoise.report.readings import METRICS, cost
 

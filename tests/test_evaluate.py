@@ -23,9 +23,10 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import ALL_METRICS, ALL_REGIONS, choose, evaluate, methods, uncovered
 from rtdenoise.evaluate.document import Document
 from rtdenoise.evaluate.inputs import Source, reference_errors
+from rtdenoise.evaluate.options import NEEDS, EvaluateOptions
 from rtdenoise.evaluate.origin import commit
 from rtdenoise.evaluate.registry import DEFAULTS
-from rtdenoise.evaluate.run import NEEDS, EvaluateOptions, run
+from rtdenoise.evaluate.run import run
 from rtdenoise.files import lock
 from rtdenoise.models import CombinerConfig, available, create, find, load, save
 from rtdenoise.models.weights import bytes_of

@@ -20,7 +20,8 @@ from rtdenoise.data.exr import read_channels
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate.demo import SAMPLE
 from rtdenoise.evaluate.document import Document
-from rtdenoise.evaluate.run import EvaluateOptions, run
+from rtdenoise.evaluate.options import EvaluateOptions
+from rtdenoise.evaluate.run import run
 from rtdenoise.report import report
 from rtdenoise.report.pictures import encode_map, encode_motion
 

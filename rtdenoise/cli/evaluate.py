@@ -53,8 +53,9 @@ class Evaluate:
     def _measure(self, signal: str, out: Path) -> None:
         from rich.progress import TextColumn
 
+        from ..evaluate.options import EvaluateOptions
         from ..evaluate.registry import choose
-        from ..evaluate.run import EvaluateOptions, run
+        from ..evaluate.run import run
         from ..models.inference import automatic, choose_device
 
         options = EvaluateOptions(

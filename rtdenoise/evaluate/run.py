@@ -8,7 +8,6 @@ is measured again, by the metrics that it had and by those asked for.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,7 +17,7 @@ import numpy as np
 import torch
 
 from ..color import display_exposure
-from ..errors import InputError, did_you_mean
+from ..errors import InputError
 from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..run.plan import make_plan
@@ -26,30 +25,14 @@ from ..sanitise import sanitise
 from .document import Document
 from .inputs import Source, reference_errors
 from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, evaluate, warm_up
+from .options import EvaluateOptions, is_there
 from .origin import LIBRARIES, device_name, origin, typed
 from .playback import MAX_FRAMES, keep_strip, window
-from .registry import PRECISIONS, Method, choose
+from .registry import Method, choose
 from .sequence import Step, uncovered
 from .stills import keep_picture, keep_truth, stills
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")
-# Metric -> the module that it needs, and the package that pip installs for it.
-NEEDS = {"flip": ("flip_evaluator", "'rtdenoise[bench]'"), "fovvideovdp": ("pyfvvdp", "pyfvvdp")}
-
-
-@dataclass(frozen=True)
-class EvaluateOptions:
-    """The measurements that `run` makes."""
-
-    methods: tuple[str, ...] = ()  # for `registry.choose`; (): its default
-    precisions: tuple[str, ...] = ("fp32",)  # of PRECISIONS
-    metrics: tuple[str, ...] = ()  # of ALL_METRICS and WHOLE_METRICS; (): those of ALL_METRICS that are installed
-    spp: tuple[int, ...] = ()  # samples per pixel of the inputs; (): of the sequences themselves
-    signal: str = "color"
-    preset: str = "auto"
-    frames: int | None = None  # at most this many of each sequence
-    device: str = "cpu"
-    references: tuple[str | Path, ...] = ()  # folders of converged frames, one a sequence; (): layers of the sequences
 
 
 def run(
@@ -64,7 +47,7 @@ def run(
 
     Raises InputError for unknown methods, metrics and precisions, and for sequences that cannot be measured.
     """
-    _check(options, sources)
+    options.check(sources)
     chosen = choose(options.methods)
     references = options.references or [None] * len(sources)
     opened = [
@@ -96,23 +79,6 @@ def _measure(
             _Input(document, source, spp, options, say, on_step).measure(chosen, out, this_run)
             document.write(out)
     return document
-
-
-def _check(options: EvaluateOptions, sources: Sequence[str | Path]) -> None:
-    for kind, names, known in (
-        ("precision", options.precisions, PRECISIONS),
-        ("metric", options.metrics, (*ALL_METRICS, *WHOLE_METRICS)),
-    ):
-        for name in names:
-            if name not in known:
-                raise InputError(f"unknown {kind} {name!r}{did_you_mean(name, known)}; expected some of "
-                                 f"{', '.join(known)}")  # fmt: skip
-    for name in options.metrics:
-        if not _is_there(name):
-            raise InputError(f"metric {name} needs a package that is not there: pip install {NEEDS[name][1]}")
-    if options.references and len(options.references) != len(sources):
-        raise InputError(f"--reference: expected a folder for each of the {len(sources)} sequences, "
-                         f"got {len(options.references)}")  # fmt: skip
 
 
 @dataclass
@@ -190,7 +156,7 @@ class _Input:
         steps = {}
         for method, precision in wanted:
             known = self._known(method, precision)
-            if known and set(self._metrics) <= known["errors"]["frame"].keys():
+            if known and set(self.options.chosen_metrics) <= known["errors"]["frame"].keys():
                 continue
             if reason := method.unavailable(precision):
                 self._leave_out(method, precision, reason)
@@ -213,8 +179,8 @@ class _Input:
     def _metrics_of(self, steps: Iterable[tuple[Method, str]]) -> tuple[str, ...]:
         """The metrics asked for, and those of the results that are measured again."""
         rows = [row for step in steps if (row := self._known(*step))]
-        had = {metric for row in rows for metric in row["errors"]["frame"] if _is_there(metric)}
-        return tuple(m for m in (*ALL_METRICS, *WHOLE_METRICS) if m in self._metrics or m in had)
+        had = {metric for row in rows for metric in row["errors"]["frame"] if is_there(metric)}
+        return tuple(m for m in (*ALL_METRICS, *WHOLE_METRICS) if m in self.options.chosen_metrics or m in had)
 
     def _is_of_others(self, row: dict) -> bool:
         """Whether a result under this sequence's name is of an input that it no longer has."""
@@ -227,22 +193,12 @@ class _Input:
         self.reasons.setdefault(reason, []).append(f"{method.name} {precision}")
 
     @cached_property
-    def _metrics(self) -> tuple[str, ...]:
-        """The metrics asked for, or all; without FLIP where it is not installed (extra `bench`)."""
-        return self.options.metrics or tuple(filter(_is_there, ALL_METRICS))
-
-    @cached_property
     def _of_input(self) -> str:
         return self.source.fingerprint(self.spp)
 
     def _fingerprint(self, method: Method) -> str:
         """Changes with the input and with the weights."""
         return "-".join([self._of_input, *method.fingerprints()])
-
-
-def _is_there(metric: str) -> bool:
-    """Whether what a metric needs is installed."""
-    return metric not in NEEDS or importlib.util.find_spec(NEEDS[metric][0]) is not None
 
 
 def _numbers(result: Result) -> dict:
