@@ -51,8 +51,10 @@ class Past:
     @property
     def stays(self) -> Tensor:
         """The share that is not `turned` or `outdated`, `[B, 1, H, W]`; 1 where `uncovered`, as nothing is held."""
-        turned, outdated = (0.0 if share is None else share for share in (self.turned, self.outdated))
-        return torch.where(self.uncovered, 1.0, (1 - turned) * (1 - outdated))
+        left = torch.ones_like(self.length)
+        for share in (self.turned, self.outdated):
+            left = left if share is None else left * (1 - share)
+        return left.masked_fill(self.uncovered, 1)
 
 
 def reprojected(
