@@ -21,7 +21,7 @@ from bench import DOCS, RESULTS, harness
 # isort: split
 import tyro
 
-from bench.diagnosis.white import compared, table
+from bench.harness.ways import compared, table
 from rtdenoise.models.past import Past
 
 RESULT, PAGES = RESULTS / "evened_changed.json", (DOCS / "notes" / "trust.md",)

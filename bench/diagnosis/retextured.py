@@ -21,7 +21,7 @@ from bench import DOCS, RESULTS, harness
 # isort: split
 import tyro
 
-from bench.diagnosis.white import compared, table
+from bench.harness.ways import compared, table
 from rtdenoise.ops.native import retextured
 
 RESULT, PAGES = RESULTS / "retextured_fine.json", (DOCS / "notes" / "retextured.md",)
