@@ -14,6 +14,7 @@ UNCOVERED = COLUMNS[:2]
 def markdown(data: dict) -> str:
     """`page.payload` as GitHub Markdown, each sequence at its fewest samples per pixel."""
     rows = _at_fewest(data["rows"])
+    several = [key for key in ("spp", "device") if len({row[key] for row in rows}) > 1]
     samples = " and ".join(str(spp) for spp in sorted({row["spp"] for row in rows}))
     run = data["runs"][-1]
     parts = [
@@ -23,8 +24,8 @@ def markdown(data: dict) -> str:
         f"Commit {run['commit']}, {run['date']}, {plain(', '.join(run['devices'].values()))}. "
         "`report.html` has the pictures.",
         "![Error against time](report.png)",
-        _losses(data, {(row["sequence"], row["spp"]) for row in rows}),
-        *(_table(group, data) for group in _in_order(grouped(rows, "sequence", "device"))),
+        _losses(data, {(row["sequence"], row["spp"]) for row in rows}, several),
+        *(_table(group, data, several) for group in _in_order(grouped(rows, "sequence", "device"))),
         _readings(data),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -50,9 +51,8 @@ def _at_fewest(rows: list[dict]) -> list[dict]:
     return [row for row in rows if row["spp"] == fewest[row["sequence"]]]
 
 
-def _name(row: dict, data: dict) -> str:
-    """Its sequence, with samples and device where the report has several of these."""
-    several = [key for key in ("spp", "device") if len({r[key] for r in _at_fewest(data["rows"])}) > 1]
+def _name(row: dict, several: list[str]) -> str:
+    """Its sequence, with those of samples and device of which the report has several."""
     more = {"spp": f"{row['spp']} spp", "device": row["device"]}
     return plain(", ".join([row["sequence"], *(more[key] for key in several)]))
 
@@ -61,7 +61,7 @@ def _in_order(groups: list[list[dict]]) -> list[list[dict]]:
     return sorted(groups, key=lambda group: group[0]["sequence"] != POOL)
 
 
-def _losses(data: dict, inputs: set[tuple[str, int]]) -> str:
+def _losses(data: dict, inputs: set[tuple[str, int]], several: list[str]) -> str:
     """Of these (sequence, samples per pixel)."""
     lost, won = ([row for row in data[key] if (row["sequence"], row["spp"]) in inputs] for key in ("lost", "won"))
     if not lost and not won:
@@ -81,16 +81,16 @@ def _losses(data: dict, inputs: set[tuple[str, int]]) -> str:
         metric = row["metric"]
         values = [write_number(metric, row[key]) for key in ("peer_value", "our_value")]
         lines.append(
-            f"| {_name(row, data)} | {row['region']} | {METRICS[metric].label} | {plain(row['peer'])} | "
+            f"| {_name(row, several)} | {row['region']} | {METRICS[metric].label} | {plain(row['peer'])} | "
             f"{values[0]} | {values[1]} | {row['time_ratio']:.2f}× |"
         )
     return "\n".join(lines)
 
 
-def _table(group: list[dict], data: dict) -> str:
+def _table(group: list[dict], data: dict, several: list[str]) -> str:
     ours = next((row["ms"]["median"] for row in group if row["label"] == data["ours"]), None)
     lines = [
-        f"## {_name(group[0], data)}",
+        f"## {_name(group[0], several)}",
         "",
         *_references(data["sequences"].get(group[0]["sequence"])),
         f"| | {' | '.join(METRICS[m].label for m in COLUMNS)} | "

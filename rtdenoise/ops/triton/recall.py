@@ -66,7 +66,7 @@ def _below(d, CELL: tl.constexpr, COLUMNS: tl.constexpr):
 def _compare(light, depth, normal, motion, recent, cells, H, W, B, frames, words, depth_tolerance, normal_tolerance,
              rounding, CELL: tl.constexpr, COLUMNS: tl.constexpr, FAR_AWAY: tl.constexpr):  # fmt: skip
     """Sums over cells of the differences between each kept frame and this one, of their squares with what is added, and
-    of their products with that beside and that below, of pairs."""""
+    of their products with that beside and that below, of pairs."""
     plane, rows = tl.cast(H, tl.int64) * W, tl.cdiv(H, CELL)
     b, row = row_of(rows)
     cell = tl.program_id(0) * (COLUMNS // CELL) + tl.arange(0, COLUMNS // CELL)
