@@ -10,7 +10,7 @@ from synthetic import make_frames
 from rtdenoise import glsl, models, ops
 from rtdenoise.constants import TURNED_ANGLE, TURNED_NOISE
 from rtdenoise.frame import Frame, Known
-from rtdenoise.models import past
+from rtdenoise.models import hybrid, past
 from rtdenoise.ops.kept import reset_of
 from rtdenoise.ops.turned import turned
 
@@ -97,6 +97,19 @@ def test_history_gives_way_where_surfaces_turn(name):
     share = -math.expm1(-math.radians(8.0) / TURNED_ANGLE)
     if network.config.recent:  # frames that are kept count less, too
         assert reset_of(history.recent[0]).min() > 0.9 * share
+
+
+@torch.inference_mode()
+def test_kernels_count_where_surfaces_turn(monkeypatch):
+    """Their picture does not lag behind there: its light has given way already."""
+    network, trusts = models.read("hybrid-fast"), []
+    network.full_head.weight[:, -2], network.full_head.bias[-2] = 0, -100.0  # a network that never resets
+    monkeypatch.setattr(hybrid, "mix", lambda first, other, scale, trust, *rest: trusts.append(trust) or other)
+    history = None
+    for i in range(3):
+        _, history, kernels = network.step_and_kernels(turning(8.0 * i, 1.0), history)
+    assert kernels.heads.reset.min() > 0.7 and not kernels.reset.any()
+    assert all((trust == 1).all() for trust in trusts)
 
 
 def test_frames_ahead_give_way_alike():

@@ -27,8 +27,8 @@ class Kernels:
     def accumulate(
         self, levels: list[GpuArray], light: GpuArray, running: GpuArray, turned: GpuArray | None
     ) -> tuple[GpuArray, GpuArray]:
-        """The running mean of light and its length, with this frame in it, and how far it was reset to it. `turned`:
-        that of `Passes`."""
+        """The running mean of light and its length, with this frame in it, and the reset that the network said.
+        `turned`: that of `Passes`."""
         size = light.shape[:2]
         mean, reset = self._scratch.fresh(size), self._scratch("reset", size)
         buffers, parameters = {"light": light, "running": running}, {"longest": self._config.longest}

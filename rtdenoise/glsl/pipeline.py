@@ -188,7 +188,7 @@ class Pipeline:
             with self._stage("reprojection"):
                 recent = passes.recent.keep(inputs, motion, "motion" in layers), *(() if first else history.recent)
                 if not first:
-                    passes.recent.forget(reset, recent[0])
+                    passes.recent.forget(reset, turned, recent[0])
             after = replace(after, recent=recent[: self.config.recent])
         if self.accumulates:
             with self._stage("reprojection"):

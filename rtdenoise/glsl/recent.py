@@ -39,9 +39,10 @@ class Recent:
             dispatch("hybrid/keep", size[::-1], buffers | {"guide": inputs.guide}, MOVES=int(moves))
         return kept
 
-    def forget(self, reset: GpuArray, kept: GpuArray) -> None:
-        """Write into a kept frame how far light was reset to it, [H, W]."""
-        dispatch("accumulated_kpn/forget", kept.shape[:0:-1], {"reset": reset, "kept": kept})
+    def forget(self, reset: GpuArray, turned: GpuArray | None, kept: GpuArray) -> None:
+        """Write into a kept frame how far light was reset to it: by the network, [H, W], and where it `turned`."""
+        buffers = {"reset": reset, "turned": turned or reset, "kept": kept}
+        dispatch("accumulated_kpn/forget", kept.shape[:0:-1], buffers, TURNS=int(turned is not None))
 
     def recall(
         self,

@@ -76,6 +76,7 @@ class Kernels:
 
     heads: Heads
     past: Past
+    reset: Tensor  # [B, 1, H, W] as the network said; `heads` give way to turns and to what is outdated as well
 
 
 class AccumulatedKPN(nn.Module):
@@ -136,8 +137,8 @@ class AccumulatedKPN(nn.Module):
             mean_albedo, _ = accumulate(frame.albedo, past.albedo, past.albedo_length, never, most)
 
         # Predict kernels.
-        heads = self.predict(self.features(frame, noisy, mean_albedo, past, known))
-        heads = heads.giving_way(past.turned).giving_way(past.outdated)
+        said = self.predict(self.features(frame, noisy, mean_albedo, past, known))
+        heads = said.giving_way(past.turned).giving_way(past.outdated)
 
         # Average light over time; the mean gives way where the network says that light has changed.
         if known.first:  # there is nothing to average
@@ -159,7 +160,7 @@ class AccumulatedKPN(nn.Module):
         if self.config.footprint:
             seen, count = footprint(frame, past, heads.reset)
             after = replace(after, footprint=seen, footprint_count=count)
-        return output, after, Kernels(heads, past)
+        return output, after, Kernels(heads, past, said.reset)
 
     def over_space(self, mean: Tensor, heads: Heads) -> Tensor:
         """Light `[B, C, H, W]` filtered by the spatial kernels: linear in it."""

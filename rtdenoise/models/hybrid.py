@@ -53,7 +53,7 @@ class Hybrid(AccumulatedKPN):
             image, after, kernels = super().step_and_kernels(frame, history, replace(known, sanitised=True))
             past = kernels.past
             held = past.on_screen & ~past.uncovered
-            trust = 1 - held * kernels.heads.reset
+            trust = 1 - held * kernels.reset
 
             # Show the other network what has been seen in each pixel.
             shown = after.footprint if self.config.many else seen(frame, history, after, known, past.later)
@@ -70,7 +70,7 @@ class Hybrid(AccumulatedKPN):
         shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells,
                     frame.depth)  # fmt: skip
         if not self.keeps_fireflies:
-            shown = without_fireflies(shown, frame.depth, frame.normal, trust * held)
+            shown = without_fireflies(shown, frame.depth, frame.normal, trust * past.stays * held)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         if not self.keeps_footprint:

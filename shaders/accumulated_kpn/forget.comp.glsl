@@ -3,8 +3,9 @@
 #pragma constants RECALL_RESET
 #include "image.glsl"
 #include "bfloat16.glsl"
+#include "giving_way.glsl"
 
-#pragma reads float reset  // [H, W]
+#pragma reads float reset  // [H, W] as the network said
 #pragma changes uint kept  // [5, H, W] as `keep` writes it
 
 void main() {
@@ -12,5 +13,5 @@ void main() {
     if (!inside(pixel, size)) return;
 
     int i = at(pixel, size);
-    kept[i + RECALL_RESET * size.x * size.y] |= half_bits(reset[i]) << 16;
+    kept[i + RECALL_RESET * size.x * size.y] |= half_bits(giving_way(reset[i], pixel)) << 16;
 }

@@ -1,6 +1,6 @@
 #version 430
-// The footprint of each pixel with this frame in it (models.past.footprint), and the trust in history: 1 less how far the
-// network resets it; and how far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what
+// The footprint of each pixel with this frame in it (models.past.footprint), and the trust in history: 1 less the network's
+// reset; and how far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what
 // this frame shows.
 #pragma constants ALONE RECALL_SAME
 #include "image.glsl"
@@ -10,7 +10,7 @@
 
 #pragma reads vec4 light, vec4 guide, vec4 surface  // [H, W]
 #pragma reads vec4 past                             // [H, W] rgb, flags
-#pragma reads float reset                           // [H, W]; not read where ALONE
+#pragma reads float reset                           // [H, W] as the network said; not read where ALONE
 #pragma changes vec4 seen                           // [3, H, W] rgb, frames · albedo, trust · normal, stays
 
 // With this frame in it: what differs by RECALL_SAME or less is the same, as kept frames are bfloat16.
@@ -27,7 +27,7 @@ void main() {
     float weight = 1.0, trust = 1.0, stays = 1.0;
     if (ALONE == 0) {
         weight = 1.0 / (1.0 + seen[i].w);
-        weight += reset[i] * (1.0 - weight);
+        weight += giving_way(reset[i], pixel) * (1.0 - weight);
         if (has_history(past[i])) trust -= reset[i];
         if (!is_uncovered(past[i])) stays -= giving_way(0.0, pixel);
         rgb = mean(seen[i].rgb, rgb, weight);
