@@ -28,6 +28,39 @@ def build_walker(scene: bpy.types.Scene, frames: int) -> None:
             deform.keyframe_insert("angle", frame=number)
 
 
+def build_flag(scene: bpy.types.Scene, frames: int) -> None:
+    """A checked flag that flutters in the sun, before houses and a camera that stands still."""
+    draw = random.Random(3)
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=60, y_subdivisions=24, size=1, location=(-0.2, 0, 2.3))
+    cloth = bpy.context.object
+    cloth.rotation_euler, cloth.scale = (math.pi / 2, 0, 0), (3.0, 1.8, 1)
+    bpy.ops.object.transform_apply(location=False, rotation=False, scale=True)
+    bpy.ops.object.shade_smooth()
+    cloth.data.materials.append(material("cloth", (0.8, 0.05, 0.05), (0.9, 0.9, 0.9), 5))
+    cloth.shape_key_add(name="flat")
+    for name, wave in (("sine", math.sin), ("cosine", math.cos)):  # a wave that travels is a sum of two that stand
+        shape = cloth.shape_key_add(name=name)
+        shape.slider_min = -1
+        for point in shape.data:
+            x, y, _ = point.co
+            point.co.z = 0.25 * (x / 3 + 0.5) * wave(7 / 3 * x + 0.8 * y)
+        for number in range(frames + 2):
+            shape.value = math.cos(1.1 * number) if name == "sine" else -math.sin(1.1 * number)
+            shape.keyframe_insert("value", frame=number)
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.05, depth=5, location=(-1.75, 0, 1.5))
+    bpy.context.object.data.materials.append(plain_material("pole", Metallic=1.0, Roughness=0.3))
+    box("ground", (0, 20, -1.0), (80, 60, 0.1), material("earth", (0.3, 0.35, 0.15), (0.2, 0.25, 0.1), 0.5))
+    for n in range(12):
+        dark, light = ([draw.uniform(0.05, 0.8) for _ in range(3)] for _ in range(2))
+        height, paint = draw.uniform(2, 5), material(f"house{n}", dark, light, 1.2)
+        box(f"house{n}", (2.2 * n - 12, draw.uniform(12, 17), height / 2 - 1), (2, 2, height), paint)
+    sunlight((0.8, 0.5, 0), 0.01)
+    sky(scene, (0.5, 0.65, 0.95))
+    bpy.ops.object.camera_add(location=(0, -4.5, 1.6), rotation=(math.radians(96), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 28
+
+
 def build_snow(scene: bpy.types.Scene, frames: int) -> None:
     """Flakes that fall by 4 to 12 cm a frame between dark trunks, at dusk, before a camera that pans."""
     draw = random.Random(8)
@@ -191,6 +224,7 @@ def build_lantern(scene: bpy.types.Scene, frames: int) -> None:
 
 
 VARIETY_SETS = {
-    "walker": build_walker, "snow": build_snow, "night": build_night, "isometric": build_isometric, "whip": build_whip,
-    "debris": build_debris, "tiles": build_tiles, "lantern": build_lantern,
+    "walker": build_walker, "flag": build_flag, "snow": build_snow, "night": build_night,
+    "isometric": build_isometric, "whip": build_whip, "debris": build_debris, "tiles": build_tiles,
+    "lantern": build_lantern,
 }  # fmt: skip
