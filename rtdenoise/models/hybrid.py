@@ -53,7 +53,7 @@ class Hybrid(AccumulatedKPN):
             image, after, kernels = super().step_and_kernels(frame, history, replace(known, sanitised=True))
             past = kernels.past
             held = past.on_screen & ~past.uncovered
-            trust = 1 - held * kernels.reset
+            trust = trusted(held, kernels.reset, past.stays)
 
             # Show the other network what has been seen in each pixel.
             shown = after.footprint if self.config.many else seen(frame, history, after, known, past.later)
@@ -70,9 +70,16 @@ class Hybrid(AccumulatedKPN):
         shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells,
                     frame.depth)  # fmt: skip
         if not self.keeps_fireflies:
-            shown = without_fireflies(shown, frame.depth, frame.normal, trust * past.stays * held)
+            shown = without_fireflies(shown, frame.depth, frame.normal, trust * held)
         shown = even_sky(shown, frame.radiance, frame.depth)
         after = replace(after, radiance=shown.detach())
         if not self.keeps_footprint:
             after = replace(after, footprint=None, footprint_count=None)
         return shown, after, kernels
+
+
+def trusted(held: Tensor, reset: Tensor, stays: Tensor) -> Tensor:
+    """How far to trust pictures that know history, `[B, 1, H, W]` in [0, 1]: not at all where the network resets it;
+    half where only `Past.stays` says that it gives way, as there the kernels' light has given way already; and wholly
+    where no history is `held`."""
+    return 1 - held * (1 - (1 - reset) * (1 + stays) / 2)

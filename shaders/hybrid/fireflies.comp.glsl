@@ -9,7 +9,7 @@
 #pragma reads vec4 mixed      // [H, W] rgb
 #pragma reads vec4 surface    // [H, W] normal, depth
 #pragma reads vec4 past       // [H, W] rgb, flags
-#pragma reads vec4 seen       // [3, H, W] · albedo, trust · normal, stays
+#pragma reads vec4 seen       // [3, H, W] · albedo, trust ·
 #pragma writes vec4 denoised  // [H, W] rgb: for history
 #pragma writes float result   // [3, H, W]: the same
 
@@ -30,7 +30,7 @@ void main() {
             second = max(second, min(greatest, mixed[j].rgb));
             greatest = max(greatest, mixed[j].rgb);
         }
-        float known = has_history(past[i]) ? seen[i + plane].w * seen[i + 2 * plane].w : 0.0;
+        float known = has_history(past[i]) ? seen[i + plane].w : 0.0;
         if (same >= LEAST) rgb = mix(min(rgb, second), rgb, known);
     }
     denoised[i] = vec4(rgb, 1.0);

@@ -1,7 +1,6 @@
 #version 430
-// The footprint of each pixel with this frame in it (models.past.footprint), and the trust in history: 1 less the network's
-// reset; and how far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what
-// this frame shows.
+// The footprint of each pixel with this frame in it (models.past.footprint), the trust in history (models.hybrid.trusted), and how
+// far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what this frame shows.
 #pragma constants ALONE RECALL_SAME
 #include "image.glsl"
 #include "giving_way.glsl"
@@ -28,8 +27,8 @@ void main() {
     if (ALONE == 0) {
         weight = 1.0 / (1.0 + seen[i].w);
         weight += giving_way(reset[i], pixel) * (1.0 - weight);
-        if (has_history(past[i])) trust -= reset[i];
         if (!is_uncovered(past[i])) stays -= giving_way(0.0, pixel);
+        if (has_history(past[i])) trust = (1.0 - reset[i]) * 0.5 * (1.0 + stays);
         rgb = mean(seen[i].rgb, rgb, weight);
         albedo = mean(seen[i + plane].rgb, albedo, weight);
         normal = mean(seen[i + 2 * plane].xyz, normal, weight);
