@@ -26,8 +26,8 @@ MODULES = (
     "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation",
     "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost",
     "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.panorama", "diagnosis.retextured",
-    "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.turned", "diagnosis.virtual_motion",
-    "diagnosis.where", "diagnosis.white",
+    "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.trusted", "diagnosis.turned",
+    "diagnosis.virtual_motion", "diagnosis.where", "diagnosis.white",
 )  # fmt: skip
 
 
