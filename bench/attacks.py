@@ -67,7 +67,7 @@ def main(
     broken = []
     for kind in kinds:
         found = run[kind]()
-        rows = json.loads(RESULT.read_text())["kinds"] if RESULT.is_file() else {}  # another run may do other kinds
+        rows = harness.read(RESULT)["kinds"] if RESULT.is_file() else {}  # another run may do other kinds
         part = {"kills": commands != COMMANDS, "fuzz": formats != tuple(FORMATS)}.get(kind, False)
         known = {row["attack"]: row for row in rows.get(kind, {}).get("rows", [])} if part else {}
         known |= {row["attack"]: row for row in found}

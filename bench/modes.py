@@ -9,7 +9,6 @@ windows of 1280×720 in float32 where they were measured in that alone.
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,12 +49,12 @@ MODES = (
 
 
 def main() -> None:
-    harness.insert_sections(tables(json.loads(RESULT.read_text())), PAGES)
+    harness.insert_sections(tables(harness.read(RESULT)), PAGES)
 
 
 def tables(document: dict) -> dict[str, str]:
     """Section `modes`; `document` is that of hybrid.py, the others are read."""
-    large, offline, gpu = (json.loads((RESULTS / f"{name}.json").read_text()) for name in READ)
+    large, offline, gpu = (harness.read(RESULTS / f"{name}.json") for name in READ)
     sequences = {row["sequence"] for row in document["rows"]}
     lines = [
         "| `rtdenoise denoise` with | dB over OIDN | in windows of 1280×720 | where just uncovered | FLIP | time, CPU "

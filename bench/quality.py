@@ -13,7 +13,6 @@ FovVideoVDP is measured where pyfvvdp is installed.
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import sys
 import time
@@ -71,7 +70,7 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]] = ()) -> None:
     for signal in SIGNALS:
         documents[signal] = run(folders, OUT / signal, EvaluateOptions(chosen, metrics=measured, signal=signal))
     draw(documents)
-    before = json.loads(RESULT.read_text()) if kept else {}
+    before = harness.read(RESULT) if kept else {}
     harness.publish(RESULT, keep(summary(documents), before, kept), digits=5, pages=PAGES, tables=tables)
     print(f"{time.perf_counter() - started:.0f} s")
 

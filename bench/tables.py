@@ -6,7 +6,6 @@ python bench/tables.py
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 from pathlib import Path
 
@@ -35,7 +34,7 @@ def main() -> None:
     for name in MODULES:
         bench = importlib.import_module(f"bench.{name}")
         for result in (bench.RESULT, *getattr(bench, "OTHER_RESULTS", ())):
-            harness.insert_sections(bench.tables(json.loads(result.read_text())), bench.PAGES)
+            harness.insert_sections(bench.tables(harness.read(result)), bench.PAGES)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """The benchmarks: scripts that start, results that say where they are from, OIDN that may be missing."""
 
 import importlib
-import json
 import os
 import subprocess
 import sys
@@ -65,13 +64,26 @@ def test_a_published_result_says_where_it_is_from_and_updates_its_pages(tmp_path
         tmp_path / "results" / "x.json", made, digits=3, pages=(page, other),
         tables=lambda d: {"a": f"{d['timing']['median_ms']} ms", "b": "new"},
     )  # fmt: skip
-    assert document == json.loads((tmp_path / "results" / "x.json").read_text())
+    assert document == harness.read(tmp_path / "results" / "x.json")
     assert document["command"] == "python bench/tiles.py --size 64x36"
     assert {"date", "commit", "versions"} <= document.keys() and document["devices"]["torch"] == harness.cpu()
     assert document["timing"] == {"median_ms": 1.235, "iqr_ms": 0.1, "calls": 5}
     assert document["ratio"] == 0.123 and document["missing"] is None
     assert page.read_text() == "before\n<!-- a -->\n1.235 ms\n<!-- /a -->\nafter\n<!-- b -->\nnew\n<!-- /b -->\n"
     assert other.read_text() == "<!-- a -->\n1.235 ms\n<!-- /a -->\n"
+
+
+def test_rows_name_their_columns_once_and_are_read_as_they_were(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(ROOT / "bench" / "tiles.py")])
+    rows = [{"way": f"n{i}", "psnr": {"frame": i / 3, "parts": {}}, "ms": None if i % 2 else [i]} for i in range(30)]
+    rows[3] |= {"frames": [{"number": 1}]}  # a row of another kind
+    rows[5] |= {"ms": {"median": 1.5}}
+    few, unlike = rows[:5], [{str(i): i} for i in range(20)]  # lists that stay as they are
+    made = {"rows": rows, "few": few, "unlike": unlike, "numbers": [1] * 20}
+    document = harness.publish(tmp_path / "x.json", made)
+    assert {name: document[name] for name in made} == made
+    text = (tmp_path / "x.json").read_text()
+    assert text.count('"parts"') == 3 + len(few) and text.count("\n  [") == 30 + 3
 
 
 def test_a_section_without_a_place_is_told_after_the_others_are_updated(tmp_path):
@@ -105,6 +117,6 @@ def test_every_stage_of_every_model_is_timed(name):
 
 
 def test_the_latency_table_is_relative_to_oidn():
-    document = json.loads((RESULTS / "latency_720p.json").read_text())
+    document = harness.read(RESULTS / "latency_720p.json")
     (oidn,) = [line for line in table(document, "720p").splitlines() if line.startswith("| oidn high")]
     assert oidn.split(" | ")[6] == "1.00× as fast"

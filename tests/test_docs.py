@@ -1,7 +1,6 @@
 """Numbers on the pages are measured ones, and names on them exist."""
 
 import importlib
-import json
 import re
 import shlex
 import sys
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.harness import read
 from rtdenoise.cli.commands import parse
 from rtdenoise.errors import InputError
 from rtdenoise.run.denoise import denoise
@@ -39,7 +39,7 @@ def marked_sections(text):
 @pytest.mark.parametrize("path", WRITERS, ids=lambda path: path.stem)
 def test_sections_are_those_of_the_results(monkeypatch, path):
     bench = load_bench(monkeypatch, path)
-    for section, table in bench.tables(json.loads(bench.RESULT.read_text())).items():
+    for section, table in bench.tables(read(bench.RESULT)).items():
         quoted = [found for text in MEASURED.values() if (found := marked_sections(text).get(section)) is not None]
         assert quoted or any(table in page.read_text() for page in PAGES), f"no page has the section {section}"
         for text in quoted:
@@ -49,7 +49,7 @@ def test_sections_are_those_of_the_results(monkeypatch, path):
 def test_every_marked_section_has_a_bench_that_writes_it(monkeypatch):
     benches = [load_bench(monkeypatch, path) for path in WRITERS]
     results = [(bench, path) for bench in benches for path in (bench.RESULT, *getattr(bench, "OTHER_RESULTS", ()))]
-    known = {section for bench, path in results for section in bench.tables(json.loads(path.read_text()))}
+    known = {section for bench, path in results for section in bench.tables(read(path))}
     for page, text in MEASURED.items():
         if strays := marked_sections(text).keys() - known - {"sample-indirect", "sample-color"}:
             pytest.fail(f"{page.name}: nothing writes the sections {sorted(strays)}")
@@ -57,7 +57,7 @@ def test_every_marked_section_has_a_bench_that_writes_it(monkeypatch):
 
 def test_the_bundled_sequences_table_is_that_of_its_result(monkeypatch):
     sample = load_bench(monkeypatch, BENCH / "sample.py")
-    document = json.loads(sample.RESULT.read_text())
+    document = read(sample.RESULT)
     tables = {f"sample-{signal}": sample.table(document, signal) for signal in ("indirect", "color")}
     assert marked_sections((ROOT / "README.md").read_text())["sample-indirect"] == tables["sample-indirect"]
     card = marked_sections((DOCS / "reference" / "models" / "default.md").read_text())
@@ -66,7 +66,7 @@ def test_the_bundled_sequences_table_is_that_of_its_result(monkeypatch):
 
 def test_rows_that_model_cards_quote_are_rows_of_the_result(monkeypatch):
     sample = load_bench(monkeypatch, BENCH / "sample.py")
-    document = json.loads(sample.RESULT.read_text())
+    document = read(sample.RESULT)
     rows = {row for signal in ("indirect", "color") for row in sample.table(document, signal).splitlines()}
     for card in (DOCS / "reference" / "models").glob("*.md"):
         for row in re.findall(r"^\| (?:\*\*)?(?:noisy, 1 spp|Intel OIDN|rtdenoise `).*$", card.read_text(), re.M):
@@ -76,9 +76,9 @@ def test_rows_that_model_cards_quote_are_rows_of_the_result(monkeypatch):
 def test_the_latency_table_is_that_of_the_result(monkeypatch):
     latency = load_bench(monkeypatch, BENCH / "latency_720p.py")
     for result in (latency.RESULT, latency.ON_CUDA):
-        document = json.loads(result.read_text())
+        document = read(result)
         assert latency.table(document, "720p") in (DOCS / "results" / "performance.md").read_text()
-    document = json.loads(latency.ON_AMX.read_text())
+    document = read(latency.ON_AMX)
     assert latency.short_table(document, "720p") in (DOCS / "results" / "performance.md").read_text()
 
 
@@ -88,7 +88,7 @@ def test_every_result_says_where_it_is_from():
         name for note in NOTES.glob("*.md") for name in re.findall(r"bench/results/([\w-]+\.json)", note.read_text())
     }
     for path in (BENCH / "results").glob("*.json"):
-        document = json.loads(path.read_text())
+        document = read(path)
         assert {"command", "commit", "devices", "date"} <= document.keys(), path.name
         assert path.name in noted or any(BENCH.rglob(Path(document["command"].split()[1]).name)), (
             f"{path.name}: {document['command']} does not exist, and no page of docs/notes names the result"

@@ -9,7 +9,6 @@ share of what is there. Writes bench/results/extremes.json and the table of docs
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -70,7 +69,7 @@ def main(before: Path | None = None) -> None:
         rows.append(row)
     content = {"rows": rows}
     if before is not None:
-        older = json.loads(before.read_text())
+        older = harness.read(before)
         content["before"] = {"commit": older["commit"], "rows": older["rows"]}
     harness.publish(RESULT, content, digits=3, pages=PAGES, tables=tables)
 

@@ -13,6 +13,7 @@ from rtdenoise.evaluate.origin import device_name, origin
 from rtdenoise.files import dumps, write_atomically
 
 from .. import ROOT
+from .columns import pack, unpack
 
 Tables = Callable[[dict], dict[str, str]]  # document -> section -> Markdown
 
@@ -35,19 +36,26 @@ def publish(
     facts = origin(command_line(), devices or {"torch": cpu()})
     write_atomically(path, laid_out({**facts, **content}, digits).encode())
     print(f"written: {path}")
-    document = json.loads(path.read_text())
+    document = read(path)
     if tables is not None:
         insert_sections(tables(document), pages)
     return document
 
 
+def read(path: Path) -> dict:
+    """A document that `publish` wrote."""
+    return {key: unpack(value) for key, value in json.loads(path.read_text()).items()}
+
+
 def laid_out(document: dict[str, object], digits: int | None = None) -> str:
-    """JSON with a line for each value, and for each row of a list."""
+    """JSON with a line for each value, and for each row of a list; the names of like rows stand once (columns.py)."""
 
     def line(value: object) -> str:
         return dumps(value, digits, default=asdict, ensure_ascii=False)
 
     def lines(value: object) -> str:
+        if value is not (packed := pack(value)):
+            return "{" + ",\n ".join(f"{line(key)}: {lines(part)}" for key, part in packed.items()) + "}"
         rows = isinstance(value, list) and all(isinstance(row, list | dict) for row in value)
         return "[\n  " + ",\n  ".join(map(line, value)) + "\n ]" if rows and value else line(value)
 
