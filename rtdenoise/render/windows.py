@@ -58,22 +58,23 @@ def candidates(found: Survey, size: tuple[int, int], frames: int) -> list[ClipWi
     """All windows of `size` = (height, width) and `frames` frames, in steps of an eighth of the window and of half its
     frames."""
     h, w = size[0] // COARSE, size[1] // COARSE
-    total, H, W = found.motion.shape
+    steps = max(h // 8, 1), max(w // 8, 1)
     windows = []
-    for first in range(0, total - frames + 1, max(frames // 2, 1)):
-        for top in range(0, H - h + 1, max(h // 8, 1)):
-            for left in range(0, W - w + 1, max(w // 8, 1)):
-                part = (slice(top, top + h), slice(left, left + w))
-                windows.append(
-                    ClipWindow(
-                        first,
-                        top * COARSE,
-                        left * COARSE,
-                        mean(found.uncovered[(slice(first + 1, first + frames), *part)]),
-                        float(found.motion[(slice(first, first + frames), *part)].mean()),
-                    )
-                )
+    for first in range(0, len(found.motion) - frames + 1, max(frames // 2, 1)):
+        hidden = _means(found.uncovered[first + 1 : first + frames], h, w, steps)
+        motion = _means(found.motion[first : first + frames], h, w, steps)
+        for (i, j), moved in np.ndenumerate(motion):
+            top, left = i * steps[0] * COARSE, j * steps[1] * COARSE
+            windows.append(ClipWindow(first, top, left, float(hidden[i, j]), float(moved)))
     return windows
+
+
+def _means(values: np.ndarray, h: int, w: int, steps: tuple[int, int]) -> np.ndarray:
+    """The mean of `values` [T, H, W] over each window of h × w pixels and all T, in steps; 0 where T is 0."""
+    sums = values.sum(0, dtype=np.float64).cumsum(0).cumsum(1)
+    sums = np.pad(sums, ((1, 0), (1, 0)))
+    sums = sums[h:, w:] - sums[:-h, w:] - sums[h:, :-w] + sums[:-h, :-w]
+    return sums[:: steps[0], :: steps[1]] / (max(len(values), 1) * h * w)
 
 
 def mean(values: np.ndarray) -> float:
