@@ -24,6 +24,11 @@ if not torch.cuda.is_available():
 with contextlib.suppress(ImportError):
     import triton  # noqa: F401  (its LLVM must be loaded before that of Mesa's OpenGL, or the process crashes)
 
+    if os.environ.get("TRITON_INTERPRET") == "1":
+        import quicker_interpreter
+
+        quicker_interpreter.install()
+
 FAILURES = Path(__file__).parent / "failures"
 
 
