@@ -2,6 +2,7 @@
 in two implementations."""
 
 import contextlib
+import gc
 import os
 import random
 import re
@@ -34,6 +35,16 @@ FAILURES = Path(__file__).parent / "failures"
 
 def pytest_addoption(parser):
     parser.addoption("--no-skips", action="store_true", help="a skipped test fails (so it does with CI=true)")
+
+
+def pytest_collection_finish(session):
+    """What was imported stays: the garbage collector need not look through it again and again."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish(session):
+    gc.unfreeze()
 
 
 def _skips_fail(config):

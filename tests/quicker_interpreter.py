@@ -7,8 +7,9 @@ from triton.runtime import interpreter
 
 
 def install():
-    """Patch the language once a launch, not once for every call of a function in a kernel; look a dtype of numpy up
-    instead of writing the table of all anew. A Triton that has other names inside stays as it is."""
+    """Patch the language once a launch, not once for every call of a function in a kernel; make a type of blocks once;
+    look a dtype of numpy up instead of writing the table of all anew. A Triton with other names inside stays as it
+    is."""
     names = ("_get_np_dtype", "_patch_lang", "GridExecutor")
     if any(not hasattr(interpreter, name) for name in names) or getattr(interpreter, "quicker", False):
         return
@@ -33,4 +34,16 @@ def install():
         finally:
             patched.clear()
 
+    types, new_type = {}, tl.block_type.__init__
+
+    def block_type(self, element_ty, shape):
+        if type(element_ty) is not tl.dtype:  # a pointer
+            return new_type(self, element_ty, shape)
+        key = element_ty.name, *(n.value if isinstance(n, tl.constexpr) else n for n in shape)
+        if key not in types:
+            new_type(self, element_ty, shape)
+            types[key] = self.element_ty, self.shape, self.numel, self.name
+        self.element_ty, self.shape, self.numel, self.name = types[key]
+
+    tl.block_type.__init__ = block_type
     interpreter._get_np_dtype, interpreter._patch_lang, launch.__call__ = np_dtype_of, patch_once, execute_patched
