@@ -272,6 +272,8 @@ def test_files_are_sorted_by_number(tmp_path):
 def test_places_without_a_sequence(tmp_path):
     gone = tmp_path / "gone"
     assert message(open_sequence, gone) == f"{gone}: does not exist; give a folder of EXR files or a glob"
+    for counter in ("####", "@", "%04d", "%d", "$F4", "${F}", "<F4>"):
+        assert message(open_sequence, gone / f"v3.{counter}.exr").endswith(f" in quotes: '{gone / 'v3.*.exr'}'")
     assert message(open_sequence, gone / "*.exr") == f"{gone / '*.exr'}: no file fits this glob"
     assert message(open_sequence, tmp_path) == f"{tmp_path}: no .exr file in this folder: it is empty"
     (tmp_path / "a.png").touch()

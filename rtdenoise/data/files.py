@@ -26,6 +26,7 @@ DESCRIBE = "where each layer has a file, rtdenoise inspect DIR --write my.toml d
 VERSION = r"(?<![A-Za-z])(v|V)\d+"
 NO_SIGN = 1000  # no show has as many frames before 0: a - before them only separates
 SAMPLES = r"\d+ ?(?i:spp)(?![A-Za-z])"
+COUNTER = r"#+|@+|%0?\d*d|\$F\d*|\$\{F\d*\}|<F\d*>"  # what other programs write for the number in a name
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Pa
     if path.is_file():
         return [path]
     if not has_magic(str(path)):
-        raise InputError(f"{path}: does not exist; give a folder of {suffix[1:].upper()} files or a glob")
+        star = path.with_name(re.sub(COUNTER, "*", path.name))
+        example = "" if star == path else f" in quotes: '{star}'"
+        raise InputError(f"{path}: does not exist; give a folder of {suffix[1:].upper()} files or a glob{example}")
     found = [p for p in map(Path, glob(str(path))) if p.is_file()]
     if not found:
         raise InputError(f"{path}: no file fits this glob")
