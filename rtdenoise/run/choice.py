@@ -74,7 +74,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         return sequence, replace(options, model=many), [*notes, told]
     has_time = options.lookahead or options.offline
     if best and has_time and (lost := _share_of_lost_samples(sequence)) > LOST:
-        told = f"model: {CLEAN[0]}, for water or glass, in which {lost:.1%} of the samples are lost"
+        told = f"model: {CLEAN[0]}, because {lost:.1%} of the samples are lost, as in water and glass"
         return sequence, replace(options, model=CLEAN[0]), [*notes, f"{told}; --model {few} is faster"]
     return sequence, replace(options, model=few), [*notes, *([f"model: {few}{because}"] if because else [])]
 
