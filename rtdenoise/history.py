@@ -15,10 +15,13 @@ from .data.stored import FOUND, read_history, write_history
 from .errors import InputError
 from .frame import MAX_CUT_MISMATCH, RECENT, SHIFTS, Frame, History
 from .motion import on_screen, same_surface
+from .ops import fetch
+from .ops.ranks import median
 from .ops.unlike import unlike
 
 # Must not be mixed across silhouettes.
 NEAREST = ("depth", "normal", "motion_next", "length", "residual_length", "footprint_count")
+ADVANCE = 1 / 3  # of the way to what is seen that a camera goes in a frame, at most
 CELLS = tuple(2**i for i in range(24))  # sides in pixels of what a pixel of a coarser layer stands for
 
 
@@ -39,8 +42,9 @@ def mismatch(frame: Frame, history: History) -> Tensor:
 
     Through a veil, in fog, out of focus or among thin leaves one sample a pixel finds another surface everywhere,
     within a shot, too. So where this exceeds `frame.MAX_CUT_MISMATCH` it is CUT_AROUND times the share of those that
-    find their surface in none of the eight pixels around, either, if that is less. Above it still, the frame belongs to
-    another shot, whatever its motion vectors say. 0 where nothing was on the screen: such a history leaves no trace
+    find their surface in none of the eight pixels around, either, if that is less, or of those that do not find it as
+    far as the camera has gone ahead. Above it still, the frame belongs to another shot, whatever its motion vectors
+    say. 0 where nothing was on the screen: such a history leaves no trace
     anyway.
 
     Where motion is zero in all pixels the picture should stand still. If more than MOVES find another surface, as after
@@ -62,7 +66,19 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     around = found.new_tensor([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]).view(-1, 1, 2, 1, 1)
     somewhere = sum(_alike(frame, history, offset) for offset in around) > 0
     lost = (seen & ~somewhere).sum((1, 2, 3)) / count
-    return (CUT_UNMOVED * lost).clamp(max=1).where(unmoved, torch.minimum(found, CUT_AROUND * lost))
+    nowhere = torch.minimum(lost, _lost_ahead(frame, history, seen) / count)
+    return (CUT_UNMOVED * lost).clamp(max=1).where(unmoved, torch.minimum(found, CUT_AROUND * nowhere))
+
+
+def _lost_ahead(frame: Frame, history: History, seen: Tensor) -> Tensor:
+    """How many of the pixels `seen` find another surface where all has come nearer by the same, the median, `[B]`: a
+    camera that goes ahead changes every depth, as another shot does. All of them where that is too far."""
+    before = fetch(history.depth, frame.motion)
+    hit = seen & (frame.depth > 0) & (before > 0)
+    nearer, depth = (median(x.where(hit, torch.nan).flatten(1)) for x in (before - frame.depth, frame.depth))
+    surface = (history.depth - nearer).clamp(min=1e-6).where(history.depth > 0, 0.0), history.normal
+    found = same_surface(frame.depth, frame.normal, *surface, frame.motion) & (nearer.abs() < ADVANCE * depth)
+    return (seen & ~found).sum((1, 2, 3))
 
 
 def _unknown(frame: Frame, history: History) -> bool:

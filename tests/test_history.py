@@ -66,6 +66,21 @@ def test_a_veil_is_no_cut():
         assert mismatch(now, geometry(replace(before, depth=factor * before.depth))) > MAX_CUT_MISMATCH
 
 
+def test_a_camera_that_goes_ahead_is_no_cut():
+    g = torch.Generator().manual_seed(0)
+    depth = (2 + 3 * torch.rand(1, 1, 6, 8, generator=g)).repeat_interleave(12, 2).repeat_interleave(12, 3)
+    before, now = (replace(frame, depth=depth, motion=0 * frame.motion + 0.1) for frame in make_frames(2, H=72, W=96))
+    there, up = (torch.tensor(x).reshape(1, 3, 1, 1).expand_as(now.normal) for x in ([0.0, 0, 1], [0.0, 1, 0]))
+    before, now = (replace(frame, normal=there) for frame in (before, now))
+    further = replace(before, depth=depth + 0.8)
+    assert usable(now, geometry(further)).float().mean() < 0.1, "every depth is another"
+    assert mismatch(now, geometry(further)) < 0.1 * MAX_CUT_MISMATCH
+    for other in (depth + 2, depth.flip(3) + 0.8, (depth + 0.8).roll(6, 3)):
+        assert mismatch(now, geometry(replace(before, depth=other))) > MAX_CUT_MISMATCH
+    assert mismatch(now, geometry(replace(further, normal=up))) > MAX_CUT_MISMATCH
+    assert mismatch(replace(now, depth=0 * depth), geometry(further)) > MAX_CUT_MISMATCH, "the sky is nothing nearer"
+
+
 def test_a_picture_that_moves_though_its_vectors_are_zero_is_a_cut():
     """As after a render with motion blur. A small thing without vectors is none, nor what has any."""
     g = torch.Generator().manual_seed(0)

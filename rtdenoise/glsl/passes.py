@@ -106,7 +106,7 @@ class Passes:
         return vectors
 
     def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
-        """As `history.mismatch`."""
+        """As `history.mismatch`, but a camera that goes far ahead in a frame cuts."""
         counts, (H, W) = self._scratch("mismatch", (4,), np.uint32), surface.shape[:2]
         buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before, "counts": counts}
 
