@@ -1,6 +1,7 @@
 """Light that changes as a whole: how much is found, and history that goes with it, whatever runs."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -179,7 +180,11 @@ def test_a_fade_is_denoised_as_steady_light(options, tmp_path, weights, recent):
     summary = denoise(str(fading), tmp_path / "found", Options(**options))
     denoise(str(fading), tmp_path / "without", Options(**options, detect_exposure=False))
     np.testing.assert_allclose(summary.exposure, fade, rtol=0.02)
-    assert "exposure: all light changes in 3 of 4 frames, and history with it" in told(summary, "denoiser")
+    (line,) = (line for line in told(summary, "denoiser") if line.startswith("exposure"))
+    assert line.startswith("exposure: all light changes in 3 of 4 frames, by a factor of up to ")
+    assert line.endswith(", and history with it")
+    most = max(max(a / b, b / a) for a, b in pairwise(fade))
+    assert float(line.split("up to ")[1].split(",")[0]) == pytest.approx(most, rel=0.05)
     wanted, found, without = (
         np.stack([pixels(path) for path in sorted((tmp_path / name).glob("*.exr"))])
         for name in ("wanted", "found", "without")

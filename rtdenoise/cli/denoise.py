@@ -228,8 +228,10 @@ def told(summary: Summary, stage: str = "denoiser") -> list[str]:
         f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()
     ]
     lines += [f"work saved: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
-    if changes := sum(gain not in (1, before) for before, gain in pairwise((1.0, *summary.exposure))):
-        lines.append(f"exposure: all light changes in {changes} of {frames} frames, and history with it")
+    pairs = pairwise((1.0, *summary.exposure))
+    if factors := [max(gain / before, before / gain) for before, gain in pairs if gain not in (1, before)]:
+        lines.append(f"exposure: all light changes in {len(factors)} of {frames} frames, by a factor of up to "
+                     f"{max(factors):.3g}, and history with it")  # fmt: skip
     if summary.cuts:
         lines.append(f"cuts: history starts anew at frame {', '.join(map(str, summary.cuts))}")
     if summary.gaps:
