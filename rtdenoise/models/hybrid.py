@@ -52,15 +52,15 @@ class Hybrid(AccumulatedKPN):
             # Filter by kernels, and average.
             image, after, kernels = super().step_and_kernels(frame, history, replace(known, sanitised=True))
             past = kernels.past
-            held = past.on_screen & ~past.uncovered
-            trust = trusted(held, kernels.reset, past.stays)
+            held, stays = past.on_screen & ~past.uncovered, past.stays
+            trust = trusted(held, kernels.reset, stays)
 
             # Show the other network what has been seen in each pixel.
             shown = after.footprint if self.config.many else seen(frame, history, after, known, past.later)
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 noisy = (known.noise / EVENED_NOISE).clamp(max=1)
-                radiance = evened(radiance, after.footprint_count, image, trust * noisy * past.stays)
+                radiance = evened(radiance, after.footprint_count, image, trust * noisy * stays)
             held, tells = held_and_tells(held, image.dtype)
         pixels = written(
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest
