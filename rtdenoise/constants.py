@@ -63,6 +63,10 @@ CUT_AROUND = 3.0  # a mismatch is so many times the share of pixels whose surfac
 CUT_UNMOVED = 5.0  # so many times it where the motion of all pixels is zero, though they do not stand still
 MOVES = 0.05  # a mismatch from which on they do not
 
+# A camera that goes ahead (`history.advance`).
+ADVANCE_LEAST, ADVANCE_MOST = 0.01, 1 / 3  # of the way to what is seen, in a frame
+ADVANCE_GAIN = 0.02  # of the pixels with history: as many more must find their surface
+
 MAX_CRACK_DISTANCE = 2  # pixels across which the splat closes cracks (`splat.splat_motion_next`)
 
 # Light that moves otherwise than its surfaces (`shift`).

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +11,22 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .constants import CUT_AROUND, CUT_UNMOVED, MOVES, SHIFT_CELL
-from .data.stored import FOUND, read_history, write_history
+from .constants import ADVANCE_GAIN, ADVANCE_LEAST, ADVANCE_MOST, CUT_AROUND, CUT_UNMOVED, MOVES, SHIFT_CELL
+from .data.stored import FOUND, read_history, seen_step, write_history
 from .errors import InputError
-from .frame import MAX_CUT_MISMATCH, RECENT, SHIFTS, Frame, History
+from .frame import MAX_CUT_MISMATCH, NOTHING_KNOWN, RECENT, SHIFTS, Frame, History, Known
 from .motion import on_screen, same_surface
 from .ops import fetch
+from .ops.alike import alike
+from .ops.kept import kept_nearer, nearer
 from .ops.ranks import median
 from .ops.unlike import unlike
+from .sanitise import sanitise
+
+Step = Callable[..., tuple[Tensor, History]]  # of (frame, history, known)
 
 # Must not be mixed across silhouettes.
 NEAREST = ("depth", "normal", "motion_next", "length", "residual_length", "footprint_count")
-ADVANCE = 1 / 3  # of the way to what is seen that a camera goes in a frame, at most
 CELLS = tuple(2**i for i in range(24))  # sides in pixels of what a pixel of a coarser layer stands for
 
 
@@ -43,9 +48,8 @@ def mismatch(frame: Frame, history: History) -> Tensor:
     Through a veil, in fog, out of focus or among thin leaves one sample a pixel finds another surface everywhere,
     within a shot, too. So where this exceeds `frame.MAX_CUT_MISMATCH` it is CUT_AROUND times the share of those that
     find their surface in none of the eight pixels around, either, if that is less, or of those that do not find it as
-    far as the camera has gone ahead. Above it still, the frame belongs to another shot, whatever its motion vectors
-    say. 0 where nothing was on the screen: such a history leaves no trace
-    anyway.
+    from a camera that has gone ahead (`advance`). Above it still, the frame belongs to another shot, whatever its
+    motion vectors say. 0 where nothing was on the screen: such a history leaves no trace anyway.
 
     Where motion is zero in all pixels the picture should stand still. If more than MOVES find another surface, as after
     a render with motion blur, for which Cycles writes zeros, the result is CUT_UNMOVED times the share of those that
@@ -71,14 +75,53 @@ def mismatch(frame: Frame, history: History) -> Tensor:
 
 
 def _lost_ahead(frame: Frame, history: History, seen: Tensor) -> Tensor:
-    """How many of the pixels `seen` find another surface where all has come nearer by the same, the median, `[B]`: a
-    camera that goes ahead changes every depth, as another shot does. All of them where that is too far."""
-    before = fetch(history.depth, frame.motion)
-    hit = seen & (frame.depth > 0) & (before > 0)
-    nearer, depth = (median(x.where(hit, torch.nan).flatten(1)) for x in (before - frame.depth, frame.depth))
-    surface = (history.depth - nearer).clamp(min=1e-6).where(history.depth > 0, 0.0), history.normal
-    found = same_surface(frame.depth, frame.normal, *surface, frame.motion) & (nearer.abs() < ADVANCE * depth)
+    """How many of the pixels `seen` find another surface where the camera has gone ahead (`advance`), `[B]`: then every
+    depth is another, as in another shot."""
+    depth = nearer(history.depth, advance(frame, history.depth, history.normal))
+    found = same_surface(frame.depth, frame.normal, depth, history.normal, frame.motion)
     return (seen & ~found).sum((1, 2, 3))
+
+
+def advance(frame: Frame, depth: Tensor | None, normal: Tensor | None) -> Tensor:
+    """How far the camera has gone ahead, in units of depth, `[B, 1, 1, 1]`: the median of how much nearer the same
+    places are than in the frame before, with `depth` and `normal`. 0 where that is too little or too much to be so
+    (`constants.ADVANCE_LEAST`, ...), where it does not lead more of the pixels to their surface, and where a layer is
+    missing, or has another size. Of every `seen_step`-th pixel."""
+    layers, step = (frame.depth, frame.normal, frame.motion, depth, normal), seen_step(frame.size)
+    if any(layer is None or layer.shape[2:] != frame.size for layer in layers):
+        return frame.radiance.new_zeros(len(frame.radiance), 1, 1, 1)
+    near, facing, motion, *before = (layer[..., ::step, ::step].contiguous() for layer in layers)
+    far, faced = (fetch(layer, motion / step) for layer in before)
+    seen = on_screen(motion / step)
+    both = seen & (near > 0) & (far > 0)
+    by, way = (median(x.where(both, torch.nan).flatten(1)) for x in (far - near, near))
+    by = by.where((by.abs() > ADVANCE_LEAST * way) & (by.abs() < ADVANCE_MOST * way), 0)
+    if not by.any():
+        return by
+    found, more, count = (
+        (seen & there).sum((1, 2, 3), keepdim=True)
+        for there in (*(alike((near, facing), (x, faced)) for x in (far, nearer(far, by))), seen)
+    )
+    return by.where(more - found > ADVANCE_GAIN * count, 0)
+
+
+def going_ahead(step: Step) -> Step:
+    """A denoiser's step with the history, and the frames ahead, as from the camera of its frame, where that goes ahead
+    (`advance`). Surfaces are told by their depth: those that are near would be others in each frame."""
+
+    def taken(frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN) -> tuple[Tensor, History]:
+        frame = frame if known.sanitised else sanitise(frame)
+        if history is not None and (by := advance(frame, history.depth, history.normal)).any():
+            recent = tuple(kept_nearer(kept, by) for kept in history.recent)
+            history = replace(history, depth=nearer(history.depth, by), recent=recent)
+        ahead, before, total = [], frame, 0
+        for other in known.ahead:
+            total = total + advance(other, before.depth, before.normal)
+            ahead.append(replace(other, depth=nearer(other.depth, -total)) if total.any() else other)
+            before = other
+        return step(frame, history, replace(known, sanitised=True, ahead=tuple(ahead)))
+
+    return taken
 
 
 def _unknown(frame: Frame, history: History) -> bool:

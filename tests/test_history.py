@@ -7,12 +7,14 @@ import torch
 from safetensors.torch import save_file
 from synthetic import TINY, make_frames
 
+from rtdenoise import models
 from rtdenoise.constants import SHIFT_CELL
 from rtdenoise.errors import InputError
-from rtdenoise.frame import MAX_CUT_MISMATCH, History, geometry
-from rtdenoise.history import load_history, mismatch, resize, save_history, usable
+from rtdenoise.frame import MAX_CUT_MISMATCH, History, Known, geometry
+from rtdenoise.history import advance, going_ahead, load_history, mismatch, resize, save_history, usable
 from rtdenoise.models import TemporalKPN
 from rtdenoise.motion import on_screen
+from rtdenoise.run.torch_backend import TorchBackend
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +81,60 @@ def test_a_camera_that_goes_ahead_is_no_cut():
         assert mismatch(now, geometry(replace(before, depth=other))) > MAX_CUT_MISMATCH
     assert mismatch(now, geometry(replace(further, normal=up))) > MAX_CUT_MISMATCH
     assert mismatch(replace(now, depth=0 * depth), geometry(further)) > MAX_CUT_MISMATCH, "the sky is nothing nearer"
+
+
+def dolly(count, by=0.5, **others):
+    """Frames of boxes that come nearer by so much a frame, and stay where they are in the picture."""
+    g = torch.Generator().manual_seed(0)
+    depth = (2 + 6 * torch.rand(1, 1, 6, 8, generator=g)).repeat_interleave(12, 2).repeat_interleave(12, 3)
+    up = torch.tensor([0.0, 1.0, 0.0]).reshape(1, 3, 1, 1)
+    return [
+        replace(frame, depth=depth + by * (count - 1 - i), motion=0 * frame.motion, motion_next=0 * frame.motion,
+                normal=up.expand_as(frame.normal).contiguous(), **others)
+        for i, frame in enumerate(make_frames(count, H=72, W=96))
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("by", [0.5, -0.4])
+def test_how_far_a_camera_goes_ahead_is_measured(by):
+    before, now = dolly(2, by)
+    assert advance(now, before.depth, before.normal).item() == pytest.approx(by, rel=1e-3)
+    assert advance(now, now.depth, now.normal) == 0, "it stands still"
+    assert advance(now, 10 * before.depth, before.normal) == 0, "that is another place"
+    small = dolly(2, 0.01)
+    assert advance(small[1], small[0].depth, small[0].normal) == 0, "all surfaces are found anyway"
+    assert advance(replace(now, normal=None), before.depth, before.normal) == 0
+    assert advance(now, before.depth[..., :-1], before.normal) == 0, "the step says that the size does not fit"
+    moves = torch.arange(96) < 60  # a large thing that comes nearer, before what stands still
+    assert advance(now, torch.where(moves, before.depth, now.depth), before.normal) != 0
+    alone = torch.where(moves, now.depth + 0.1, now.depth)  # still its surface: nothing is gained
+    assert advance(now, alone, now.normal) == 0
+
+
+@pytest.mark.parametrize("ahead", [0, 2])
+def test_history_goes_ahead_with_the_camera(ahead):
+    """As much of it counts as where the camera stands still, step by step and in frames ahead."""
+    lengths = {}
+    for by in (0.0, 0.5):
+        network, frames, history = models.read("default"), dolly(6, by, radiance=torch.ones(1, 3, 72, 96)), None
+        for i in range(4):
+            known = Known(ahead=tuple(frames[i + 1 : i + 1 + ahead]), waits=ahead > 0)
+            _, history = going_ahead(network.step)(frames[i], history, known)
+            assert torch.equal(history.depth, frames[i].depth), "what is stored is as it was seen"
+        lengths[by] = history.length
+    assert lengths[0.0].mean() > 3 + ahead / 2
+    torch.testing.assert_close(lengths[0.5].mean(), lengths[0.0].mean(), rtol=0.01, atol=0)
+
+
+def test_recent_frames_go_ahead_when_they_are_read_anew():
+    backend, frames, history = TorchBackend("default", "cpu", "fp32"), dolly(5), None
+    frames = [backend.prepare(frame) for frame in frames]
+    for frame in frames:
+        _, history = backend.denoise(frame, history)
+    restored = backend.restore(backend.save(history))
+    restored = backend.remember(restored, frames[::-1])
+    for found, wanted in zip(restored.recent, history.recent, strict=True):
+        assert torch.equal(found, wanted)
 
 
 def test_a_picture_that_moves_though_its_vectors_are_zero_is_a_cut():

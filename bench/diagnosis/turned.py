@@ -33,6 +33,7 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.sequences import Sequence
 from rtdenoise.frame import Frame, Known
+from rtdenoise.history import going_ahead
 from rtdenoise.models import load, past
 from rtdenoise.ops import turned
 from rtdenoise.sanitise import sanitise
@@ -140,10 +141,11 @@ def pictures(frames: list[Frame], name: str, ahead: int, **settings: object) -> 
     """`settings`: attributes of the network."""
     network, history, found = load(name, precision="fp32"), None, []
     vars(network).update(settings)
+    step = going_ahead(network.step)
     frames = completed_shot(frames)
     for i, frame in enumerate(frames):
         known = Known(ahead=tuple(frames[i + 1 : i + 1 + ahead]), waits=ahead > 0)
-        image, history = network.step(frame, history, known)
+        image, history = step(frame, history, known)
         found.append(image)
     return found
 

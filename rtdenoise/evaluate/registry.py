@@ -18,6 +18,7 @@ from ..baselines.oidn import installed
 from ..errors import InputError, did_you_mean
 from ..files import fingerprint
 from ..frame import Frame
+from ..history import going_ahead
 from ..models import STILLS, CombinerConfig, Shrinkage, available, available_combiners, load, load_combiner
 from ..models.inference import INT8
 from ..models.presets import SHRINKAGE
@@ -237,7 +238,7 @@ def _start(
 ) -> Step:
     step = stepper(load(weights, device, precision, **overrides))
     step = corrected(step) if correct else step
-    return step if history else partial(_without_history, step)
+    return going_ahead(step) if history else partial(_without_history, step)
 
 
 def _offline(name: str, oidn: bool) -> Method:

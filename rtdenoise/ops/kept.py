@@ -19,6 +19,7 @@ from ..constants import (
 )
 
 CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
+DEPTH_WORD = 1  # whose higher half is the depth
 BESIDE = (0, 0), (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x): a pixel and the four beside it
 
 
@@ -62,6 +63,20 @@ def motion_of(kept: Tensor) -> Tensor:
 def reset_of(kept: Tensor) -> Tensor:
     """The reset of a kept frame, `[B, 1, H, W]` in [0, 1]."""
     return _unpacked(kept[:, RECALL_RESET : RECALL_RESET + 1])[:, 1:]
+
+
+def nearer(depth: Tensor, by: Tensor) -> Tensor:
+    """Depth less `by`, of what was hit; what lies behind the camera then is as near as can be."""
+    return (depth - by).clamp(min=torch.finfo(depth.dtype).tiny).where(depth > 0, depth)
+
+
+def kept_nearer(kept: Tensor, by: Tensor) -> Tensor:
+    """A kept frame whose surfaces are nearer by so much, `[B, 1, 1, 1]`; it is copied."""
+    words = kept[:, DEPTH_WORD : DEPTH_WORD + 1]
+    depth = nearer((words & -65536).view(torch.float32), by).bfloat16().float()
+    kept = kept.clone()
+    kept[:, DEPTH_WORD : DEPTH_WORD + 1] = words & 0xFFFF | depth.view(torch.int32)
+    return kept
 
 
 def _unpacked(kept: Tensor) -> Tensor:

@@ -24,6 +24,7 @@ import torch
 from torch import Tensor, nn
 
 from ..frame import NOTHING_KNOWN, RECENT, Frame, History, Known
+from ..history import Step
 from ..ops.elsewhere import Elsewhere, NotHere, fill, table
 from .plan import LAYERS
 
@@ -33,7 +34,6 @@ WARM_UP_STEPS = 3  # before a step is captured, as in PyTorch's documentation
 LARGEST = 6_000_000  # pixels of a step that is recorded: kernels of larger ones take longer than to start them
 
 Written = TypeVar("Written")
-Step = Callable[..., tuple[Tensor, History]]
 
 
 class Recorder(Protocol):

@@ -104,12 +104,13 @@ class TorchBackend:
             return image.cpu().numpy(), history
 
     def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Tensor, Any]:
+        from ..history import going_ahead
         from ..models.shrinkage import corrected
 
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
         with self._inference(frame):
-            return step(frame, history, Known(sanitised=True, ahead=ahead, waits=self.waits))
+            return going_ahead(step)(frame, history, Known(sanitised=True, ahead=ahead, waits=self.waits))
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
@@ -150,18 +151,24 @@ class TorchBackend:
     def remember(self, history: Any, frames: Sequence[Frame]) -> Any:
         import torch
 
+        from ..history import advance
         from ..models.past import kept, shift_of
+        from ..ops.kept import kept_nearer, nearer
 
         if not frames or "mean" not in self.config.carries:
             return history
         with torch.inference_mode():
-            recent = []
+            recent, ahead = [], []  # `ahead`: how far the camera has gone since each of these, a step each
             for i, frame in enumerate(frames[: len(history.recent)]):
-                shift = None
+                shift, steps = None, list(reversed(ahead))
                 if i + 1 < len(frames) and frame.motion is not None:
                     before = frames[i + 1]
-                    shift = shift_of(frame, before.radiance, before.depth, history.shifts[i + 1 : i + 2])
+                    ahead.append(advance(frame, before.depth, before.normal))
+                    depth = nearer(before.depth, ahead[-1])
+                    shift = shift_of(frame, before.radiance, depth, history.shifts[i + 1 : i + 2])
                 recent.append(kept(self.config, frame, torch.zeros_like(frame.depth), shift=shift))
+                for by in steps:
+                    recent[i] = kept_nearer(recent[i], by) if by.any() else recent[i]
             for its, resets in zip(recent, history.recent, strict=True):
                 its[:, RECALL_RESET] |= resets[:, RECALL_RESET]
             return replace(history, noisy=frames[0].radiance, recent=tuple(recent))
