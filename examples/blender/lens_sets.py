@@ -1,4 +1,4 @@
-"""Scenes with depth of field for `render.py`, as those of `sets`."""
+"""Scenes for `render.py`, as those of `sets`, for lenses: depth of field, panoramas, zooms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import random
 
 import bpy
-from sets import ball, box, keyframe, material, plain_material, sky
+from sets import ball, box, build, keyframe, material, plain_material, sky
 
 
 def focus(camera: bpy.types.Object, distance: float, f_stop: float) -> None:
@@ -108,6 +108,20 @@ def build_panorama(scene: bpy.types.Scene, frames: int) -> None:
     keyframe(scene.camera, frames, (0, 0, 1.5), (0.03 * (frames - 1), 0.02 * (frames - 1), 1.5))
 
 
+def build_vertigo(scene: bpy.types.Scene, frames: int) -> None:
+    """The room of `sets`, before a camera that goes back while its lens gets longer."""
+    build(scene, frames)
+    camera = scene.camera
+    camera.animation_data_clear()
+    camera.rotation_euler = math.radians(86), 0, 0
+    for number in range(frames + 2):
+        way = 2.2 + 0.35 * number
+        camera.location, camera.data.lens = (0, 1.2 - way, 1.4), 16 * way / 2.2
+        camera.keyframe_insert("location", frame=number)
+        camera.data.keyframe_insert("lens", frame=number)
+
+
 LENS_SETS = {
     "portrait": build_portrait, "focus-pull": build_focus_pull, "macro": build_macro, "panorama": build_panorama,
+    "vertigo": build_vertigo,
 }  # fmt: skip
