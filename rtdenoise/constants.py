@@ -19,6 +19,7 @@ RECALL_WORDS = 5  # channels of a kept frame, two bfloat16 in each
 RECALL_FOOTPRINT_WORDS = 8  # of one that keeps albedo and the motion of edges, too
 RECALL_EDGE_SPEED = 1.0  # pixels a frame against what is behind it, up to which an edge is followed
 RECALL_RESET = 3  # of these the one whose higher half is the reset
+RECALL_DEPTH = 1  # likewise the depth
 RECALL_CELL = 4  # side in pixels of the cells in which light is compared; 3 × 3 cells count together
 RECALL_ALIKE, RECALL_CHANGED = 2.0, 4.0  # |sum of differences|² / sum of |differences|²: light counts whole; not at all
 RECALL_WIDE_ALIKE, RECALL_WIDE_CHANGED = 6.0, 12.0  # likewise over cells of twice the side

@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import save_file
 from synthetic import TINY, make_frames
 
-from rtdenoise import models
+from rtdenoise import glsl, models
 from rtdenoise.constants import SHIFT_CELL
 from rtdenoise.errors import InputError
 from rtdenoise.frame import MAX_CUT_MISMATCH, History, Known, geometry
@@ -135,6 +135,25 @@ def test_recent_frames_go_ahead_when_they_are_read_anew():
     restored = backend.remember(restored, frames[::-1])
     for found, wanted in zip(restored.recent, history.recent, strict=True):
         assert torch.equal(found, wanted)
+
+
+@pytest.mark.parametrize("name", ["default", "paper", "hybrid-fast"])
+def test_a_camera_that_goes_ahead_does_so_in_the_shaders(name, gl, assert_images_close):
+    network, pipeline = models.read(name), glsl.Pipeline.load(name)
+    frames, history, resident = [frame.map(lambda t: t[..., :37, :50].contiguous()) for frame in dolly(4)], None, None
+    for frame in frames:
+        arrays = frame.map(lambda t: t.numpy())
+        if history is not None:
+            assert pipeline.mismatch(arrays, resident) == pytest.approx(mismatch(frame, history).item(), abs=1e-6)
+        image, history = going_ahead(network.step)(frame, history)
+        found, resident = pipeline.step(arrays, resident)
+        assert_images_close(found, image, "frame")
+    for kept, wanted in zip(resident.recent, history.recent, strict=True):
+        assert torch.equal(torch.from_numpy(kept.read().view("int32"))[1], wanted[0, 1]), "depth, and blue light"
+    if resident.recent:
+        again = pipeline.remember(resident, [frame.map(lambda t: t.numpy()) for frame in frames[::-1]])
+        for kept, wanted in zip(again.recent, resident.recent, strict=True):
+            assert (kept.read() == wanted.read()).all()
 
 
 def test_a_picture_that_moves_though_its_vectors_are_zero_is_a_cut():

@@ -11,9 +11,6 @@ import numpy as np
 from ..constants import (
     AGREES_PATIENCE,
     BRIGHTNESS_BLOCK,
-    CUT_AROUND,
-    CUT_UNMOVED,
-    MOVES,
     OUTDATED_CELL,
     OUTDATED_FRAMES,
     OUTDATED_RIM,
@@ -21,7 +18,6 @@ from ..constants import (
     SKY_BLOCK,
     TURNED_CELL,
 )
-from ..frame import MAX_CUT_MISMATCH
 from ..models.presets import AccumulatedKPNConfig, Config
 from .context import GpuArray
 from .dispatch import BLOCK_GROUP, SELECT_GROUP, dispatch, fill
@@ -104,25 +100,6 @@ class Passes:
         buffers = {"motion": motion or there, "motion_next": motion_next or there, "vectors": vectors}
         dispatch("frame/motion", (W, H), buffers)
         return vectors
-
-    def mismatch(self, vectors: GpuArray, surface: GpuArray, surface_before: GpuArray) -> float:
-        """As `history.mismatch`, but a camera that goes far ahead in a frame cuts."""
-        counts, (H, W) = self._scratch("mismatch", (4,), np.uint32), surface.shape[:2]
-        buffers = {"vectors": vectors, "surface": surface, "surface_before": surface_before, "counts": counts}
-
-        def counted(around: int) -> tuple[int, ...]:
-            fill(counts)
-            dispatch("frame/mismatch", (W, H), buffers, AROUND=around)
-            return tuple(map(int, counts.read()))
-
-        seen, wrong, beside, moves = counted(0)
-        usual = beside / max(1, H * (W - 1))
-        found = max(0.0, wrong / max(1, seen) - usual) / max(1 - usual, 1e-6)
-        unmoved = not moves and found > MOVES
-        if not unmoved and found <= MAX_CUT_MISMATCH:
-            return found
-        lost = counted(1)[1] / max(1, seen)
-        return min(CUT_UNMOVED * lost, 1.0) if unmoved else min(found, CUT_AROUND * lost)
 
     def history_motion(self, vectors: GpuArray, surface: GpuArray, history: History) -> GpuArray:
         """The motion that fetches history: traditional, or dual, with a flag, where a pixel has been uncovered."""

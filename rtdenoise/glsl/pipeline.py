@@ -24,6 +24,7 @@ from ..errors import InputError
 from ..frame import NOTHING_KNOWN, Frame, Known
 from ..models.presets import AccumulatedKPNConfig, Config
 from ..models.weights import read_denoiser
+from .advance import Advance
 from .clock import Clock
 from .context import GpuArray, GpuMemoryError, default_context
 from .current import current
@@ -67,6 +68,7 @@ class Pipeline:
         self.scratch = Scratch(self.ctx, half)  # GPU memory that is kept between frames, beside the weights
         self.passes = Passes(self.scratch, config, tensors)
         self.kernels = Kernels(self.scratch, config, tensors)
+        self.advance = Advance(self.scratch)
         self.light = Follow(self.scratch)
         self.pixels = Pixels(self.scratch, config, tensors) if config.architecture == "hybrid" else None
 
@@ -102,6 +104,10 @@ class Pipeline:
         try:
             with self._stage("upload"):
                 layers = self.upload(frame, history)
+            if history is not None and not known.still:
+                vectors, surface = self.passes.vectors(layers), self.passes.prepare(layers).surface
+                if by := self.advance.find(vectors, surface, history.surface):
+                    history = self.advance.history(history, by)
             result, history = self.run(layers, history, known, frame.wide_filter)
         except GpuMemoryError as error:
             H, W = frame.size
@@ -119,7 +125,7 @@ class Pipeline:
         for the GPU."""
         layers = self.upload(frame, history)
         surface = self.passes.prepare(layers).surface
-        return self.passes.mismatch(self.passes.vectors(layers), surface, history.surface)
+        return self.advance.mismatch(self.passes.vectors(layers), surface, history.surface)
 
     @_in_context
     def run(
@@ -212,12 +218,14 @@ class Pipeline:
             inputs, motion = passes.prepare(layers), passes.vectors(layers)
             noisy_before, noisy = noisy, passes.radiance(inputs)
             if before is not None and "motion" in layers:
+                if by := self.advance.find(motion, inputs.surface, before):
+                    recent, before = [self.advance.kept(kept, by) for kept in recent], self.advance.surface(before, by)
                 told = history.shifts[i + 1 : i + 2]
                 seen = self.light.surfaces(inputs, noisy)
-                moved = self.light.shift(inputs, seen, motion, noisy, noisy_before, before.surface, told)
+                moved = self.light.shift(inputs, seen, motion, noisy, noisy_before, before, told)
                 motion = self.light.followed(motion, moved, False, "motion")
             recent.insert(0, passes.recent.keep(inputs, motion, "motion" in layers))
-            before = inputs
+            before = inputs.surface
         recent = recent[: len(history.recent)]
         for kept, its in zip(recent, history.recent, strict=True):
             kept.write_plane(RECALL_RESET, kept.read_plane(RECALL_RESET) | its.read_plane(RECALL_RESET))

@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from ..constants import (
     DEPTH_TOLERANCE,
     FAR_AWAY,
+    RECALL_DEPTH,
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
     RECALL_RESET,
@@ -19,7 +20,6 @@ from ..constants import (
 )
 
 CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
-DEPTH_WORD = 1  # whose higher half is the depth
 BESIDE = (0, 0), (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x): a pixel and the four beside it
 
 
@@ -72,10 +72,10 @@ def nearer(depth: Tensor, by: Tensor) -> Tensor:
 
 def kept_nearer(kept: Tensor, by: Tensor) -> Tensor:
     """A kept frame whose surfaces are nearer by so much, `[B, 1, 1, 1]`; it is copied."""
-    words = kept[:, DEPTH_WORD : DEPTH_WORD + 1]
+    words = kept[:, RECALL_DEPTH : RECALL_DEPTH + 1]
     depth = nearer((words & -65536).view(torch.float32), by).bfloat16().float()
     kept = kept.clone()
-    kept[:, DEPTH_WORD : DEPTH_WORD + 1] = words & 0xFFFF | depth.view(torch.int32)
+    kept[:, RECALL_DEPTH : RECALL_DEPTH + 1] = words & 0xFFFF | depth.view(torch.int32)
     return kept
 
 
