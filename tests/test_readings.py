@@ -106,3 +106,13 @@ def test_the_best_preset_speaks_for_us():
     known = METHODS | {"default": {"family": "network"}}
     assert speaks_for_us([row("paper", 1, 1), row("default", 1, 1)], known) == "default"
     assert speaks_for_us([row("oidn", 1, 1)], METHODS) == ""
+
+
+def test_where_no_preferred_network_was_measured_the_best_speaks_for_us():
+    known = METHODS | {name: {"family": "network"} for name in ("first", "mine", "other")}
+    rows = [row(name, psnr, 1) for name, psnr in (("other", 24), ("first", 11), ("mine", 25), ("oidn", 30))]
+    assert speaks_for_us(rows, known) == "mine"
+    assert speaks_for_us([*rows, row("mine", 20, 1, sequence="b"), row("other", 23, 1, sequence="b")], known) == "other"
+    for one in rows:
+        del one["errors"]["frame"]["psnr"]
+    assert speaks_for_us(rows, known) == "first"

@@ -67,10 +67,16 @@ def label(row: dict) -> str:
 
 
 def speaks_for_us(rows: Sequence[dict], methods: dict[str, dict]) -> str:
-    """The `label` of the network that the peers are compared with; empty if none was measured."""
+    """The `label` of the network that the peers are compared with: the first of `PREFERRED`, or else that of the
+    highest PSNR; empty if none was measured."""
     networks = [row for row in rows if methods[row["method"]]["family"] == "network"]
     found = {row["method"]: label(row) for row in sorted(networks, key=by_precision, reverse=True)}  # fp32 if there
-    return next((found[name] for name in (*PREFERRED, *sorted(found)) if name in found), "")
+
+    def rank(name: str) -> tuple[float, str]:
+        values = [row["errors"]["frame"].get("psnr") or 0.0 for row in networks if row["method"] == name]
+        return -sum(values) / len(values), name
+
+    return next((found[name] for name in (*PREFERRED, *sorted(found, key=rank)) if name in found), "")
 
 
 def pooled(rows: Sequence[dict], sequences: dict[str, dict]) -> list[dict]:
