@@ -170,6 +170,12 @@ def test_after_a_gap_no_lens_is_known(tmp_path):
     assert drifts.told == "--lens: added what the vectors of 2 of 4 frames lack"
 
 
+def test_a_run_that_goes_on_tells_the_lens_of_the_frames_it_has_read(tmp_path):
+    drifts = with_lens(open_sequence(write_sequence(tmp_path / "shot", shot(4, zoom=0.03)))).drifts
+    drifts.of(3)
+    assert drifts.told == "--lens: added what the vectors of 1 of 1 frames that this run read lack"
+
+
 def noisy(frames):
     """The same with light of one sample a pixel."""
     g = torch.Generator().manual_seed(5)

@@ -71,9 +71,10 @@ class Drifts:
 
     @property
     def told(self) -> str:
-        """Of how many frames the vectors lacked something, among those asked for."""
-        lacking = sum(drift is not None for drift in self._found.values())
-        return f"--lens: added what the vectors of {lacking} of {len(self._found)} frames lack"
+        """Of how many frames the vectors lacked something, among those asked for: a run that goes on asks for some."""
+        lacking, read = sum(drift is not None for drift in self._found.values()), len(self._found)
+        some = "" if read == len(self._sequence) else " that this run read"
+        return f"--lens: added what the vectors of {lacking} of {read} frames{some} lack"
 
     def _frame(self, i: int) -> Frame:
         if i not in self._frames:
