@@ -26,7 +26,7 @@ DESCRIBE = "where each layer has a file, rtdenoise inspect DIR --write my.toml d
 VERSION = r"(?<![A-Za-z])(v|V)\d+"
 NO_SIGN = 1000  # no show has as many frames before 0: a - before them only separates
 SAMPLES = r"\d+ ?(?i:spp)(?![A-Za-z])"
-COUNTER = r"#+|@+|%0?\d*d|\$F\d*|\$\{F\d*\}|<F\d*>"  # what other programs write for the number in a name
+COUNTER = r"#+|@+|%\d*d|\$F\d*|\$\{F\d*\}|<F\d*>"  # what other programs write for the number in a name
 
 
 @dataclass(frozen=True)
