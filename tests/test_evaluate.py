@@ -601,6 +601,7 @@ def test_references_in_other_files(tmp_path, capsys):
     for wrong, message in (
         ([], "reference"), (["--reference", str(fewer)], "expected 3 frames 0 to 2 of 32×24 as in"),
         (["--reference", str(truth), str(truth)], "expected a folder for each of the 1 sequences, got 2"),
+        (["--reference", str(shot)], "frame.0000.exr: is the same picture as"),
     ):  # fmt: skip
         with pytest.raises(SystemExit, match="2"):
             main([*command, *wrong])

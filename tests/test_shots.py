@@ -94,6 +94,8 @@ def test_references_in_other_files_and_one_signal(tmp_path, capsys):
     assert "expected a folder for each of 1 shots, got 2" in error_of(
         capsys, tmp_path / "noisy", "--out", tmp_path / "c", "--reference", tmp_path / "a", tmp_path / "b"
     )
+    noisy = tmp_path / "noisy"
+    assert "is the same picture as" in error_of(capsys, noisy, "--out", tmp_path / "c", "--reference", noisy)
 
 
 def test_clips_tell_their_samples_a_pixel(tmp_path, shot, capsys):

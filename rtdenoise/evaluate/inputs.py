@@ -26,6 +26,7 @@ from ..errors import InputError
 from ..files import read_json
 from ..frame import Frame
 from ..metrics.image import decibels, masked_mean, reference_mse
+from ..run.pairs import are_same
 from .measure import check_references
 
 LAYERS = ("reference", "reference_half")
@@ -52,7 +53,7 @@ class Source:
         """`reference`: a folder with the same frames, converged; None: `folder` has the references as layers.
 
         Raises InputError where frames, references or (between frames) motion are missing, the frames of `reference` are
-        other ones, or samples.json is not as above.
+        other ones or hold the same light, or samples.json is not as above.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -66,6 +67,8 @@ class Source:
                 base.require("reference")
             except InputError as error:
                 raise InputError(f"{error}; or name a folder of converged frames: --reference DIR") from None
+        elif not converged.has("reference"):
+            _refuse_same(converged, base, len(base.numbers[:limit]))
         facts = _facts(folder / "samples.json")
         spp, sample_ms = facts.get("spp", round(base.header.samples) or 1), facts.get("sample_ms")
         return cls(folder.resolve().name, folder, base, spp, sample_ms, limit, options, converged)
@@ -139,6 +142,14 @@ def _same_frames(sequence: Sequence, base: Sequence, limit: int | None) -> Seque
         raise InputError(f"{sequence.files[0].path.parent}: expected {_told(base, expected)} as in "
                          f"{base.files[0].path.parent}, found {_told(sequence, sequence.numbers)}")  # fmt: skip
     return sequence
+
+
+def _refuse_same(converged: Sequence, base: Sequence, count: int) -> None:
+    """The first, the middle and the last of `count` frames are compared."""
+    both = [sequence.only(("radiance",)) for sequence in (base, converged)]
+    if are_same(tuple(sequence.read(i).radiance for sequence in both) for i in sorted({0, count // 2, count - 1})):
+        raise InputError(f"{converged.files[0].path}: is the same picture as {base.files[0].path}: name the converged "
+                         "frames (--reference)")  # fmt: skip
 
 
 def _told(sequence: Sequence, numbers: tuple[int, ...]) -> str:

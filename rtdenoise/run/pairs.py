@@ -3,6 +3,7 @@ together."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -100,8 +101,13 @@ def repeats(source: Sequence, other: Sequence) -> bool:
     """Whether `other` shows the same light. The first, the middle and the last frame are compared; one without light
     tells nothing."""
     noisy, places = source.only(("radiance",)), sorted({0, len(source) // 2, len(source) - 1})
-    pictures = [(noisy.read(i).radiance, read_estimate(other, i).numpy()) for i in places]
-    return any(np.any(a) for a, _ in pictures) and all(np.array_equal(a, b, equal_nan=True) for a, b in pictures)
+    return are_same((noisy.read(i).radiance, read_estimate(other, i).numpy()) for i in places)
+
+
+def are_same(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Whether the pictures of each pair are the same, and not all without light."""
+    pairs = list(pairs)
+    return any(np.any(a) for a, _ in pairs) and all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
 def check_pairs(source: Sequence, denoised: Sequence, kind: str = "denoised") -> None:
