@@ -22,6 +22,7 @@ from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, create, load, r
 from rtdenoise.models.bytes_layout import made_for, shapes
 from rtdenoise.models.in_bytes import Convolution, PixelNetworkInBytes, ToBytes, UNetInBytes, phases, rounded
 from rtdenoise.models.pixel_network import PixelNetwork, as_color
+from rtdenoise.models.presets import PRESETS, STILLS
 from rtdenoise.models.weights import bytes_of, find
 from rtdenoise.ops.convolve_bytes import convolve_bytes, multiplies_bytes, packed, unpacked
 from rtdenoise.ops.feature_bytes import CHANNELS, feature_bytes
@@ -254,6 +255,10 @@ def test_models_without_such_weights_are_named(tmp_path):
     with pytest.raises(InputError, match="networks of the form temporal_kpn have no weights in bytes"):
         load("paper", precision="int8")
     path = tmp_path / "mine.safetensors"
+    for config in (STILLS["afgsa-small"], PRESETS["mltd-small"]):
+        save(create(config), path)
+        with pytest.raises(InputError, match=f"networks of the form {config.architecture} have no weights in bytes"):
+            load(path, precision="int8")
     save(read("hybrid-fast"), path)
     with pytest.raises(InputError, match="there is no mine"):
         load(path, precision="int8")

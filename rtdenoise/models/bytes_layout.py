@@ -107,8 +107,8 @@ def _pixels(shape: PixelShape, prefix: str, inputs: int, careful: int = 0) -> di
 def shapes(config: Config) -> dict[str, tuple[int, ...]]:
     """Name -> shape of each tensor in the file: the arguments of `convolve_bytes` of layers that are rounded with care;
     what 1 of a byte is worth where another layer reads it or makes it. Raises InputError as `layout`."""
-    found: dict[str, tuple[int, ...]] = {f"{UNET}.{INPUT}.step": (config.widths[0],)}
     layers = layout(config)
+    found: dict[str, tuple[int, ...]] = {f"{UNET}.{INPUT}.step": (config.widths[0],)}
     stepped = {name for name, layer in layers.items() if not layer.careful}
     stepped |= {picture.maker for name in stepped for picture in layers[name].reads}
     for name, layer in layers.items():
