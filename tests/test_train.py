@@ -23,7 +23,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure
 from rtdenoise.files import dumps
 from rtdenoise.frame import stack
-from rtdenoise.models import PRESETS, load, read
+from rtdenoise.models import PRESETS, STILLS, create, load, read, save
 from rtdenoise.ops import warp
 from rtdenoise.training import tasks
 from rtdenoise.training.augment import MAX_RELIGHT, MAX_SHADE, augment, relight, shade
@@ -443,6 +443,9 @@ def test_training_starts_from_weights(config, tmp_path):
     assert all(p.requires_grad for p in again.model.parameters())
     with pytest.raises(InputError, match="does not grow into paper"):
         Trainer(replace(config, init=first, model="paper"))
+    save(create(STILLS["afgsa-small"]), still := tmp_path / "still.safetensors")
+    with pytest.raises(InputError, match="does not grow into default"):  # it knows no motion
+        Trainer(replace(config, init=still, model="default"))
 
 
 def test_a_cut_starts_anew(config):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from reprlib import repr as shown
 from typing import Any
@@ -142,7 +142,7 @@ def _optimisers(model: Denoiser | Combiner, config: TrainConfig) -> list[torch.o
 def _initial(config: TrainConfig, wanted: Config) -> Denoiser | Combiner:
     """The network of the file `init`, grown to `wanted`. Raises InputError where it cannot grow to it."""
     model = read(config.init)
-    if config.model in PRESETS and hasattr(model.config, "motion"):
+    if config.model in PRESETS and "motion" in {field.name for field in fields(model.config)}:
         model.config = replace(model.config, motion=config.motion)
     if model.config != wanted:
         try:
