@@ -121,6 +121,8 @@ def test_without_a_model_it_needs_no_training(shot, clean, frames, tmp_path, two
 
 def test_a_second_render_must_differ(shot, clean, tmp_path, capsys):
     assert "another seed" in refused(capsys, "combine", shot, clean, "--out", tmp_path / "out", "--second", shot)
+    error = refused(capsys, "combine", shot, clean, "--out", tmp_path / "out", "--second", clean)
+    assert error.endswith(", which is denoised; --second is a noisy render\n")
 
 
 def test_a_second_render_is_told_by_its_noise_also_where_pixels_are_broken_or_black(tmp_path, frames, capsys):

@@ -69,7 +69,7 @@ def combine(
     check_pairs(source, estimates)
     second = open_second(options.second, source, options.preset, options.allow_gaps) if options.second else None
     if second:
-        check_second(source, second)
+        check_second(source, second, estimates)
         check_pairs(source, second, "second")
     same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
     notes = [*joined, *found, *told_of_shutter(options), *([same] if repeats(source, estimates) else [])]

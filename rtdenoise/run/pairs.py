@@ -90,18 +90,26 @@ def check_other(source: Sequence, denoised: Sequence) -> None:
                          "folder of the denoised frames")  # fmt: skip
 
 
-def check_second(source: Sequence, second: Sequence) -> None:
-    """Raise InputError where the second render repeats the first one: its noise must be another."""
+def check_second(source: Sequence, second: Sequence, denoised: Sequence) -> None:
+    """Raise InputError where the second render repeats the first one, as its noise must be another, or the denoised
+    frames, which have none."""
     if repeats(source, second):
         raise InputError(f"{second.paths[0]}: is the same picture as {source.paths[0]}; render the second one with "
                          "another seed")  # fmt: skip
+    if are_same((read_estimate(denoised, i).numpy(), read_estimate(second, i).numpy()) for i in _places(source)):
+        raise InputError(f"{second.paths[0]}: is the same picture as {denoised.paths[0]}, which is denoised; --second "
+                         "is a noisy render")  # fmt: skip
 
 
 def repeats(source: Sequence, other: Sequence) -> bool:
     """Whether `other` shows the same light. The first, the middle and the last frame are compared; one without light
     tells nothing."""
-    noisy, places = source.only(("radiance",)), sorted({0, len(source) // 2, len(source) - 1})
-    return are_same((noisy.read(i).radiance, read_estimate(other, i).numpy()) for i in places)
+    noisy = source.only(("radiance",))
+    return are_same((noisy.read(i).radiance, read_estimate(other, i).numpy()) for i in _places(source))
+
+
+def _places(source: Sequence) -> list[int]:
+    return sorted({0, len(source) // 2, len(source) - 1})
 
 
 def are_same(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> bool:
