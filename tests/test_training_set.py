@@ -39,7 +39,7 @@ from rtdenoise.render.scenes.named import open_scene
 from rtdenoise.render.scenes.scene import Scene
 from rtdenoise.render.sequence import render_sequence
 from rtdenoise.render.stage import Stage
-from rtdenoise.render.windows import ClipWindow, choose, look_through
+from rtdenoise.render.windows import COARSE, ClipWindow, Survey, candidates, choose, look_through
 from rtdenoise.render.workers import KILLED, only_run
 from rtdenoise.run.processes import Processes
 
@@ -192,6 +192,19 @@ def test_a_scene_to_leave_out_that_is_not_there_is_named(room, tmp_path, monkeyp
     main([*arguments, "--exclude", "street", "hall"])  # street is one of the default names, here or not
     main(arguments)
     assert [[Path(file).parent.name for file, _ in o.scenes] for o in asked] == [["room"], ["hall", "room"]]
+
+
+@pytest.mark.parametrize("frames", [1, 3, 5])
+def test_windows_have_the_means_of_their_part_of_the_survey(frames):
+    rng = np.random.default_rng(0)
+    hidden, motion = rng.random((5, 11, 18)) < 0.1, rng.random((5, 11, 18), np.float32) * 20
+    windows = candidates(Survey(hidden, motion, 0.0, 1.0), (44, 36), frames)  # as high as the picture
+    assert len(windows) == 10 * len({w.first for w in windows})
+    for w in windows:
+        part = np.s_[:, w.top // COARSE : w.top // COARSE + 11, w.left // COARSE : w.left // COARSE + 9]
+        seen = slice(w.first, w.first + frames)
+        expected = hidden[seen][1:][part].mean() if frames > 1 else 0.0
+        assert (w.uncovered, w.motion) == pytest.approx((expected, motion[seen][part].mean()), rel=1e-5)
 
 
 def test_windows_are_chosen_where_most_is_uncovered():
