@@ -104,11 +104,7 @@ class Pipeline:
         try:
             with self._stage("upload"):
                 layers = self.upload(frame, history)
-            if history is not None and not known.still:
-                vectors, surface = self.passes.vectors(layers), self.passes.prepare(layers).surface
-                if by := self.advance.find(vectors, surface, history.surface):
-                    history = self.advance.history(history, by)
-            result, history = self.run(layers, history, known, frame.wide_filter)
+            result, history = self.run(layers, history, known, frame.wide_filter, waits=True)
         except GpuMemoryError as error:
             H, W = frame.size
             raise InputError(
@@ -134,9 +130,10 @@ class Pipeline:
         history: History | None = None,
         known: Known = NOTHING_KNOWN,
         wide_filter: bool = False,  # of `Frame`
+        waits: bool = False,
     ) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
-        the history is not."""
+        the history is not. `waits` for the GPU to tell how far the camera has gone ahead; else nothing is read back."""
         passes, kernels, first = self.passes, self.kernels, history is None
         averages = self.accumulates and not first  # else the means are the frame itself
         follows = averages and history.noisy is not None and not known.on_surfaces
@@ -145,6 +142,9 @@ class Pipeline:
             inputs = passes.prepare(layers, self.accumulates and first, wide_filter)
             level = passes.recent.level(inputs)
             vectors = passes.vectors(layers)
+            looks = waits and not (first or known.still)
+            if looks and (by := self.advance.find(vectors, inputs.surface, history.surface)):
+                history = self.advance.history(history, by)
         with self._stage("reprojection"):
             chosen = passes.history_motion(vectors, inputs.surface, history) if dual else vectors
             motion, flagged = vectors, dual  # of light; whether `chosen` says what has been uncovered
