@@ -171,7 +171,7 @@ class History:
     residual: Tensor | None = None  # [B, 3, H, W] running mean of relative residuals (`models.shrinkage.correct`)
     residual_length: Tensor | None = None  # [B, 1, H, W] frames in it
     hidden: tuple[Tensor, ...] = ()  # [B, C, h, w] each: features for the next step of the model, at any scale
-    recent: tuple[Tensor, ...] = ()  # [B, 5 or 8, H, W] int32 each: of `ops.recall.keep`, the last frame first
+    recent: tuple[Tensor, ...] = ()  # [B, 5 or 8, H, W] int32 each: of `ops.keep.keep`, the last frame first
     # [B, 2, h, w] each: those of `found` that count (`shift.picture`), of the previous frame and of `recent` ones
     shifts: tuple[Tensor, ...] = ()
     # [B, 9, H, W] radiance, albedo and normal of this and the recent frames, whatever surface of the pixel they saw

@@ -86,12 +86,13 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.features import features
     from rtdenoise.ops.fireflies import without_fireflies
+    from rtdenoise.ops.keep import keep
     from rtdenoise.ops.lift import lift, lower
     from rtdenoise.ops.logits import cells
     from rtdenoise.ops.max_pool import max_pool
     from rtdenoise.ops.mix import mix
     from rtdenoise.ops.over import over_and_coverage
-    from rtdenoise.ops.recall import keep, recall
+    from rtdenoise.ops.recall import recall
     from rtdenoise.ops.retextured import retextured
     from rtdenoise.ops.scattered import scattered
     from rtdenoise.ops.shares import shares

@@ -17,8 +17,9 @@ from rtdenoise.models import AccumulatedKPNConfig, past
 from rtdenoise.models.hybrid_config import HybridConfig
 from rtdenoise.ops import dispatch
 from rtdenoise.ops.elsewhere import Elsewhere, NotHere, fill, table
+from rtdenoise.ops.keep import keep
 from rtdenoise.ops.over import over, over_and_coverage
-from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.recall import recall
 from rtdenoise.ops.triton.path import stacked
 from rtdenoise.sanitise import sanitise
 

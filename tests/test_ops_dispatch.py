@@ -25,11 +25,12 @@ from rtdenoise.ops.block_luminance import block_luminance
 from rtdenoise.ops.even_sky import even_sky
 from rtdenoise.ops.feature_bytes import feature_bytes
 from rtdenoise.ops.fireflies import without_fireflies
+from rtdenoise.ops.keep import keep
 from rtdenoise.ops.max_pool import FUSED as MAX_POOL
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over
-from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.recall import recall
 from rtdenoise.ops.soften import soften
 from rtdenoise.ops.turned import turned
 from rtdenoise.shift.displacement import displacement_sums

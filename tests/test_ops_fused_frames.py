@@ -11,9 +11,10 @@ from torch.nn import functional as F
 
 from rtdenoise import ops
 from rtdenoise.frame import OFF_SCREEN, Frame, History
+from rtdenoise.ops.keep import keep
 from rtdenoise.ops.off_pixel import off_pixel
 from rtdenoise.ops.over import over, over_and_coverage
-from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.recall import recall
 from rtdenoise.ops.scattered import scattered
 from rtdenoise.ops.unlike import unlike
 from rtdenoise.shift.displacement import compressed, displacement, displacement_sums

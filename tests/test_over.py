@@ -11,8 +11,8 @@ from rtdenoise.constants import GLOSS, OVER_LIGHT
 from rtdenoise.frame import Known
 from rtdenoise.models import past
 from rtdenoise.models.hybrid_config import HybridConfig
+from rtdenoise.ops.keep import keep
 from rtdenoise.ops.over import over, over_and_coverage
-from rtdenoise.ops.recall import keep
 
 SIZE = 8, 24
 EDGE, SPEED = 12, 3  # the front is left of this column and moves by so many pixels a frame to the right

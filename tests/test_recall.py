@@ -15,9 +15,10 @@ from rtdenoise.exposure import noise_level
 from rtdenoise.frame import OFF_SCREEN, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.ops.keep import keep
 from rtdenoise.ops.kept import edge_motion, reset_of
 from rtdenoise.ops.pixels import accumulate
-from rtdenoise.ops.recall import FOOTPRINT, keep, recall, unchanged, white
+from rtdenoise.ops.recall import FOOTPRINT, recall, unchanged, white
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled, carried
 

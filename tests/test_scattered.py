@@ -10,7 +10,8 @@ from rtdenoise import glsl, models, ops
 from rtdenoise.constants import DEPTH_TOLERANCE, SCATTERED_REACH
 from rtdenoise.frame import Frame
 from rtdenoise.models.shrinkage import edges
-from rtdenoise.ops.recall import keep, recall
+from rtdenoise.ops.keep import keep
+from rtdenoise.ops.recall import recall
 from rtdenoise.ops.scattered import scattered
 
 SIZE, SHARE, LAMP, WALL = (48, 64), 0.2, 9.0, 0.1  # share of the samples that hit the lamp; light of both

@@ -15,11 +15,12 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
 from ..ops.agrees import agrees
+from ..ops.keep import keep
 from ..ops.off_pixel import off_pixel
 from ..ops.outdated import flashed, outdated
 from ..ops.over import over, over_and_coverage
 from ..ops.pixels import accumulate, demodulate, joined
-from ..ops.recall import Recalled, keep, recall
+from ..ops.recall import Recalled, recall
 from ..ops.retextured import retextured
 from ..ops.scattered import scattered
 from ..ops.turned import turned

@@ -28,7 +28,7 @@ def over(
     now: Tensor | Sequence[Tensor],  # [B, 9, H, W] the current frame alone; several are joined along channels
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     depth: Tensor,  # [B, 1, H, W]
-    recent: Sequence[Tensor],  # [B, 8, H, W] int32 each (`recall.keep`), the frame before first
+    recent: Sequence[Tensor],  # [B, 8, H, W] int32 each (`ops.keep.keep`), the frame before first
 ) -> Tensor:  # [B, 9, H, W]
     """`seen`, but at edges that move against what is behind them
 

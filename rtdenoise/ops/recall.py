@@ -17,7 +17,6 @@ from torch.nn import functional as F
 from ..color import albedo_divisor
 from ..constants import (
     DEPTH_TOLERANCE,
-    FAR_AWAY,
     RECALL_ALIKE,
     RECALL_CELL,
     RECALL_CHANGED,
@@ -36,8 +35,6 @@ from .kept import BESIDE, Path, check_kept, distance, edge_motion
 FOOTPRINT = 3, 3, 3  # channels of a footprint: radiance, albedo, normal
 SUPPORT = Support(channels={"light": (3,), "motion": (2,), "surface": (1, 3)})
 FUSED = Fused("recall", native=SUPPORT, triton=SUPPORT)
-LAYERS = {"light": (3,), "depth": (1,), "normal": (3,), "reset": (1,), "motion": (2,), "albedo": (3,)}
-KEEP = Fused("recall.keep", native=Support(channels=LAYERS), triton=Support(channels=LAYERS))
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ def recall(
     light: Tensor,  # [B, 3, H, W] of the current frame
     motion: Tensor,  # [B, 2, H, W] (x, y) in pixels, to the frame before
     surface: tuple[Tensor, Tensor],  # depth [B, 1, H, W] and normal [B, 3, H, W] of the current frame
-    recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`keep`), the frame before first; 8 channels for footprints
+    recent: Sequence[Tensor],  # [B, 5, H, W] int32 each (`ops.keep`), the frame before first; 8 channels for footprints
     uncovered: Tensor | None = None,  # [B, 1, H, W] bool: for footprints, what a moving object has just uncovered
     misplaced: Tensor | None = None,  # [B, 1, 1, 1] ≥ 0, for footprints: how much less lookups off the pixel count
     lone: Tensor | None = None,  # [B, 2, H, W] `scattered`, for footprints: depths of what is hit here and there
@@ -124,26 +121,6 @@ def recall(
             edge.follow(there.edge, there.reset)
     found = mean / count.clamp(min=1e-6), count
     return Recalled(*found, *(() if edge is None else (seen / seen_count.clamp(min=1e-6), seen_count)))
-
-
-@falls_back
-def keep(
-    light: Tensor,  # [B, 3, H, W]
-    depth: Tensor,  # [B, 1, H, W]
-    normal: Tensor,  # [B, 3, H, W]
-    reset: Tensor,  # [B, 1, H, W] in [0, 1]: how far light gave way to this frame's; older frames count so much less
-    motion: Tensor | None,  # [B, 2, H, W] (x, y) in pixels; paths end at a frame without
-    albedo: Tensor | None = None,  # [B, 3, H, W] for footprints
-) -> Tensor:  # [B, 5, H, W] int32; 8 channels with albedo
-    """A frame as `recall` takes it: two bfloat16 in each integer, the first in its lower half. Compiled code keeps them
-    together for each pixel (channels last)."""
-    if motion is None:
-        motion = torch.full_like(light[:, :2], FAR_AWAY)
-    if run := KEEP(light=light, depth=depth, normal=normal, reset=reset, motion=motion, albedo=albedo):
-        return run(light, depth, normal, reset, motion, albedo)
-    more = [] if albedo is None else [albedo, edge_motion(motion, depth)[0], torch.zeros_like(depth)]
-    halves = torch.cat([light, depth, normal, reset, motion, *more], dim=1).bfloat16()
-    return torch.stack([halves[:, 0::2], halves[:, 1::2]], dim=-1).view(torch.int32)[..., 0]
 
 
 def unchanged(difference: Tensor, least: Tensor, patience: float = 1.0) -> Tensor:

@@ -17,13 +17,11 @@ from ...constants import (
     RECALL_CELL,
     RECALL_CHANGED,
     RECALL_EDGE_SPEED,
-    RECALL_FOOTPRINT_WORDS,
     RECALL_JOINED,
     RECALL_ROUNDING,
     RECALL_WHITE,
     RECALL_WIDE_ALIKE,
     RECALL_WIDE_CHANGED,
-    RECALL_WORDS,
 )
 from .compiler import library, pointer, pointers
 
@@ -73,17 +71,6 @@ def recall(
         threads,
     )
     return tuple(results)
-
-
-def keep(light: Tensor, depth: Tensor, normal: Tensor, reset: Tensor, motion: Tensor, albedo: Tensor | None) -> Tensor:
-    images = [t.contiguous() for t in (light, depth, normal, reset, motion, albedo) if t is not None]
-    B, _, H, W = light.shape
-    words = RECALL_WORDS if albedo is None else RECALL_FOOTPRINT_WORDS
-    kept = torch.empty(B, words, H, W, dtype=torch.int32, device="cpu", memory_format=torch.channels_last)
-    inputs = [*map(pointer, images), *[None] * (6 - len(images))]
-    tolerances = map(c_float, (DEPTH_TOLERANCE, RECALL_EDGE_SPEED))
-    _compiled().keep(*inputs, pointer(kept), B, H, W, *tolerances, torch.get_num_threads())
-    return kept
 
 
 def _compiled() -> CDLL:

@@ -1,4 +1,4 @@
-"""`recall.keep`: a frame in words of two bfloat16, with the motion of its edges."""
+"""`keep`: a frame in words of two bfloat16, with the motion of its edges."""
 
 from __future__ import annotations
 

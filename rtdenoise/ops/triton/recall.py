@@ -21,7 +21,6 @@ from ...constants import (
 )
 from .alike import alike, surface_at
 from .common import BLOCK, grid, of_images, place, row_of
-from .keep import keep as keep
 from .path import (
     beside,
     bounded,
