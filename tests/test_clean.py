@@ -56,7 +56,7 @@ def test_what_is_there_is_kept_and_the_card_says_what_it_is(noisy, cleaned, caps
     clip_path(cleaned, 1).unlink()
     written = clip_path(cleaned, 0).stat().st_mtime_ns
     main(["clean", str(noisy), "--out", str(cleaned)])
-    assert "1 clips written" in capsys.readouterr().out
+    assert "1 clip written" in capsys.readouterr().out
     assert clip_path(cleaned, 0).stat().st_mtime_ns == written
     assert ClipDataset(cleaned).facts(1)["references"].startswith("denoised by pyoidn")
     card = (cleaned / "DATA.md").read_text()

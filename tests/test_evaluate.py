@@ -397,7 +397,7 @@ def test_results_of_other_frames_are_told(shot, tmp_path):
     run([str(shot)], tmp_path, EvaluateOptions(("noisy",), metrics=("psnr",)), said.append)
     assert "shot, 1 spp: results of accumulate are of other frames" in said[-1]
     run([str(shot)], tmp_path, EvaluateOptions(PLAIN, metrics=("psnr",)), said.append)
-    assert said[-1] == "shot, 1 spp: 1 methods on 4 frames"
+    assert said[-1] == "shot, 1 spp: 1 method on 4 frames"
 
 
 def test_a_method_that_cannot_take_the_frames_is_left_out(tmp_path):

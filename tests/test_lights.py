@@ -480,6 +480,6 @@ def test_the_command(tmp_path, capsys):
     shot.mkdir()
     shutil.copy(SHOT / "frame.0001.exr", shot)
     main(["denoise", str(shot), "--out", str(tmp_path / "out"), "--model", "fast", "--also", "Emission"])
-    assert "1 frames written" in capsys.readouterr().out
+    assert "1 frame written" in capsys.readouterr().out
     assert {"R", "G", "B", "A", "Emission.R"} <= read_header(tmp_path / "out" / "frame.0001.exr").channels.keys()
     assert rtdenoise.open_sequence(tmp_path / "out", signal="color")[0].size == open_sequence(shot)[0].size

@@ -277,7 +277,7 @@ def test_places_without_a_sequence(tmp_path):
     assert message(open_sequence, gone / "*.exr") == f"{gone / '*.exr'}: no file fits this glob"
     assert message(open_sequence, tmp_path) == f"{tmp_path}: no .exr file in this folder: it is empty"
     (tmp_path / "a.png").touch()
-    assert message(open_sequence, tmp_path) == f"{tmp_path}: no .exr file in this folder: it holds 1 files, e.g. a.png"
+    assert message(open_sequence, tmp_path) == f"{tmp_path}: no .exr file in this folder: it holds 1 file, e.g. a.png"
 
 
 def test_frame_numbers_that_are_missing_or_there_twice(tmp_path):

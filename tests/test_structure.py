@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent / "rtdenoise"
 # A room (a folder, or a module of the top level) may import the rooms above it in this list, and its own modules.
 ORDER = [
-    ("errors", "constants"), ("color", "files", "frame"), ("ops",), ("exposure", "motion"),
+    ("errors", "constants", "wording"), ("color", "files", "frame"), ("ops",), ("exposure", "motion"),
     ("sanitise",), ("data",), ("splat", "history", "shift", "brightness"), ("models",),
     ("baselines", "glsl", "metrics"), ("run",), ("evaluate",), ("render", "training", "report"), ("cli",),
     ("__main__",),

@@ -110,7 +110,7 @@ def test_a_set_is_the_same_in_shards_and_after_a_kill(tmp_path):
 def test_a_lead_in_has_no_references_and_comes_before_the_rest(tmp_path):
     options = replace(TINY, count=1, lead_in=4)
     render_here(tmp_path, options, lambda *_: None)
-    assert "1 clips of 3 frames after 4 without references, 32×32" in (tmp_path / "DATA.md").read_text()
+    assert "1 clip of 3 frames after 4 without references, 32×32" in (tmp_path / "DATA.md").read_text()
     data = ClipDataset(tmp_path)
     assert read_facts(data.paths[0])["frames"] == 3 and read_facts(data.paths[0])["lead_in"] == 4
     plain, whole = data.load(0), data.load(0, lead_in=9)
@@ -153,7 +153,7 @@ def test_a_scene_file_without_light_is_left_out(room, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no clips found"):
         options = replace(TINY, count=1, scenes=((str(room), ""),))
         render_here(tmp_path / "set", options, lambda done, total, line: lines.append(line))
-    assert lines[-1] == "left out: 1 clips, from 0 on: nothing is seen in their scenes"
+    assert lines[-1] == "left out: 1 clip, from 0 on: nothing is seen in their scenes"
 
 
 def test_what_is_evaluated_on_is_in_no_training_set(tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..wording import counted
 from .progress import progress_bar
 
 
@@ -26,4 +27,4 @@ class Clean:
         with progress_bar("cleaning") as bar:
             task = bar.add_task("clean", total=None)
             count = clean(self.folder, self.out, lambda done, total: bar.update(task, completed=done, total=total))
-        print(f"{self.out}: {count} clips written")
+        print(f"{self.out}: {counted(count, 'clip')} written")

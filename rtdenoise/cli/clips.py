@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import InputError
+from ..wording import counted
 from .progress import progress_bar
 from .render import at_least_one, not_negative, refuse_odd_references, refuse_too_many_paths
 
@@ -123,7 +124,7 @@ class Clips:
                 lambda done, total: bar.update(task, completed=done, total=total),
                 lambda line: bar.console.print(line, soft_wrap=True),
             )  # fmt: skip
-        print(f"{self.out}: {count} clips; DATA.md says what they are")
+        print(f"{self.out}: {counted(count, 'clip')}; DATA.md says what they are")
 
     def _render(self) -> None:
         if unused := self._given() & OF_SHOTS:
@@ -164,7 +165,7 @@ class Clips:
                 bar.console.print(line, soft_wrap=True)
 
             card = render_clips(self.out, options, report)
-        print(f"{self.out}: {card['clips']} clips; DATA.md says what they are")
+        print(f"{self.out}: {counted(card['clips'], 'clip')}; DATA.md says what they are")
 
     def _reference_range(self) -> tuple[int, int]:
         if not self.assets:

@@ -19,6 +19,7 @@ from ..run.farm import Farm
 from ..run.options import CombineOptions, Options, Summary
 from ..run.processes import Place, Processes
 from ..run.threads import cpu_limit
+from ..wording import counted
 from .progress import frame_progress, progress_bar
 
 CORES = 4  # for a shot
@@ -219,14 +220,13 @@ def _start(threads: int) -> None:
 def told(summary: Summary, stage: str = "denoiser") -> list[str]:
     """What a run did, a line a fact. Counts of replaced and left out include the frames of interrupted runs before."""
     frames = summary.written + summary.skipped
-    lines = [f"{summary.written} frames written, {summary.skipped} were there"]
+    lines = [f"{counted(summary.written, 'frame')} written, {summary.skipped} were there"]
     if summary.written:
         lines.append(f"{stage}: {1000 * summary.seconds / summary.written:.0f} ms a frame")
     lines += summary.notes
-    lines += [f"replaced: {what} in {count} pixels" for what, count in summary.replaced.items()]
-    lines += [
-        f"passed on as in the input: NaN in {count} pixels of {name}" for name, count in summary.passed_on.items()
-    ]
+    lines += [f"replaced: {what} in {counted(count, 'pixel')}" for what, count in summary.replaced.items()]
+    passed_on = ((name, counted(count, "pixel")) for name, count in summary.passed_on.items())
+    lines += [f"passed on as in the input: NaN in {pixels} of {name}" for name, pixels in passed_on]
     lines += [f"work saved: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     pairs = pairwise((1.0, *summary.exposure))
     if factors := [max(gain / before, before / gain) for before, gain in pairs if gain not in (1, before)]:

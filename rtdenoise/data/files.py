@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..wording import counted
 from .exr import read_channels, read_header
 from .exr_format import ExrHeader
 
@@ -131,7 +132,7 @@ def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Pa
         found = [p for p in path.iterdir() if p.suffix.lower() == suffix and not p.name.startswith(".")]
         if not found:
             others = sorted(p.name for p in path.iterdir())
-            what = f"holds {len(others)} files, e.g. {others[0]}" if others else "is empty"
+            what = f"holds {counted(len(others), 'file')}, e.g. {others[0]}" if others else "is empty"
             if any(path.glob(f"*/*{suffix}")):
                 what = f"has some in folders inside; {DESCRIBE}"
             raise InputError(f"{path}: no {suffix} file in this folder: it {what}")

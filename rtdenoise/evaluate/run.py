@@ -22,6 +22,7 @@ from ..files import lock, remove_unfinished
 from ..frame import Frame
 from ..run.plan import make_plan
 from ..sanitise import sanitise
+from ..wording import counted
 from .document import Document
 from .inputs import Source, reference_errors
 from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, evaluate, warm_up
@@ -135,7 +136,7 @@ class _Input:
         if self.spp == self.source.spp:
             keep_truth(out, self.source, self.frames)
             self._keep_strip(out, "reference", [frame.reference for frame in self.frames])
-        self.say(f"{self.label}: {len(steps)} methods on {len(self.frames)} frames")
+        self.say(f"{self.label}: {counted(len(steps), 'method')} on {counted(len(self.frames), 'frame')}")
         if others := sorted({row["method"] for row in self.document.results if self._is_of_others(row)}):
             self.say(f"{self.label}: results of {', '.join(others)} are of other frames, or of these before they "
                      "changed: name them, too, to measure them again")  # fmt: skip

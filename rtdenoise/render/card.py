@@ -11,6 +11,7 @@ from ..data.clip_file import LEAD_IN, read_facts
 from ..data.clips import ClipDataset
 from ..errors import InputError
 from ..files import utf8, write_atomically
+from ..wording import counted
 from .options import CAUSTIC
 
 COMPOSED = "composition of assets"  # source of clips of a library
@@ -104,9 +105,10 @@ def _text(card: dict) -> str:
     scenes = {name: count for name, count in card["sources"].items() if name not in (GENERATED, COMPOSED)}
     first, last = card["seeds"]
     lead_in = f" after {card[LEAD_IN]} without references" if card[LEAD_IN] else ""
+    clips = counted(card["clips"], "clip")
     text = f"""# Training clips
 
-{card["clips"]} clips of {_span(card["frames_per_clip"])} frames{lead_in}, {width}×{height}, seeds {first} to {last}.
+{clips} of {_span(card["frames_per_clip"])} frames{lead_in}, {width}×{height}, seeds {first} to {last}.
 {_scenes(card)}
 Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 
@@ -133,14 +135,15 @@ Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 - tensors `[T, C, H, W]` and conventions: `rtdenoise/data/clip_file.py`, `rtdenoise/frame.py`
 """
     if scenes:
-        text += "\n## Scenes by others\n\n" + "".join(f"- {name}: {count} clips\n" for name, count in scenes.items())
+        lines = (f"- {name}: {counted(count, 'clip')}\n" for name, count in scenes.items())
+        text += "\n## Scenes by others\n\n" + "".join(lines)
     for name, licence in card["licences"].items():
         text += f"\n### {name}\n\n{licence.strip()}\n"
     text += _asset_credits(card)
     for folder, pictures in card["pictures"].items():
         files = ", ".join(pictures["files"])
         licence = pictures["licence"].strip() or "No LICENSE.txt lay in the folder: find out before passing clips on."
-        text += f"\n## Pictures from {folder}\n\nIn {pictures['clips']} clips: {files}\n\n{licence}\n"
+        text += f"\n## Pictures from {folder}\n\nIn {counted(pictures['clips'], 'clip')}: {files}\n\n{licence}\n"
     return text
 
 

@@ -20,6 +20,7 @@ from ..evaluate.origin import typed
 from ..files import remove_unfinished
 from ..run.farm import Farm
 from ..run.processes import Processes
+from ..wording import counted
 from .card import write_card
 from .draw import VIEWS
 from .options import ClipOptions
@@ -80,7 +81,8 @@ def render_clips(out: Path, options: ClipOptions, progress: Callable[[int, int, 
                 )  # fmt: skip
         clips = (i for i in range(options.count) if i // options.clips_per_scene in groups)
         if left := [i for i in clips if not clip_path(out, i).exists()]:
-            progress(done, missing, f"left out: {len(left)} clips, from {left[0]} on: nothing is seen in their scenes")
+            told = f"{counted(len(left), 'clip')}, from {left[0]} on: nothing is seen in their scenes"
+            progress(done, missing, f"left out: {told}")
         return write_card(out, typed())
 
 
@@ -119,7 +121,7 @@ def _disk_use(out: Path, missing: int, options: ClipOptions) -> str:
     needed, free = missing * bytes_per_clip(options.size, frames, options.layers), shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: {missing} clips take {_bytes(needed)}, {_bytes(free)} are free")
-    return f"{missing} clips to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"
+    return f"{counted(missing, 'clip')} to render, {_bytes(needed)} on disk ({_bytes(free)} are free)"
 
 
 def _bytes(count: float) -> str:

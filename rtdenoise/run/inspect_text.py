@@ -13,6 +13,7 @@ from ..data.exr_format import group_channels
 from ..data.files import describe_gap, told_of_order
 from ..data.layouts import MITSUBA, NATIVE
 from ..errors import INSTALL_TORCH
+from ..wording import counted
 from .inspect import HAS_TORCH, Inspection
 from .normals import ENCODED
 from .same_noise import SAME_NOISE
@@ -91,7 +92,7 @@ def _summary(found: Inspection, verbose: bool) -> list[tuple[str, str]]:
     bad = ", ".join(f"{what} ({count})" for what, count in found.faults.items()) or "none"
     divided = ", already divided by the albedo" if found.demodulated else ""
     lines = [
-        ("frames", f"{found.files} files, {W}×{H}, numbers {first} to {last}{gaps}"),
+        ("frames", f"{counted(found.files, 'file')}, {W}×{H}, numbers {first} to {last}{gaps}"),
         *(("", line) for line in told_of_order(found.numbers)),
         ("layout", f"{found.preset}; signal {found.signal}{divided}; scene.json: {scene}"),
         ("not used", group_channels(found.ignored) or "-"),

@@ -24,12 +24,13 @@ from ..files import dumps, lock, remove_unfinished, utf8, write_atomically
 from ..frame import Frame
 from ..run.choice import known_samples
 from ..sanitise import sanitise
+from ..wording import counted
 
 NEEDED = ("albedo", "normal", "depth", "motion", "motion_next")
 AT_ONCE = 64  # clips that are cut in one pass over the frames, which bounds memory
 CARD = """# Training clips
 
-{count} clips of {frames} frames, {width}×{height}, cut from {shots} shots by `{command}`.
+{clips} of {frames} frames, {width}×{height}, cut from {shots} shots by `{command}`.
 
 {lines}
 
@@ -83,7 +84,8 @@ def cut_clips(
     clips = [windows[i] for i in sorted(chosen)]
     for i, sources in enumerate(opened):
         taken = sum(window.shot == i for window in clips)
-        say(f"{shots[i]}: {' and '.join(sources)}; {len(_first(sources).base)} frames, {taken} clips")
+        frames = counted(len(_first(sources).base), "frame")
+        say(f"{shots[i]}: {' and '.join(sources)}; {frames}, {counted(taken, 'clip')}")
     facts = [_facts(window, opened[window.shot], options) | {"spp": spp[window.shot]} for window in clips]
     out.mkdir(parents=True, exist_ok=True)
     with lock(out):
@@ -222,8 +224,9 @@ def _describe(out: Path, clips: list[ClipPlace], shots: tuple[str, ...], options
     card = {"clips": len(clips), "frames_per_clip": options.frames, "size": [height, width], "sources": counts,
             "command": command}  # fmt: skip
     text = CARD.format(
-        count=len(clips), frames=options.frames, width=width, height=height, shots=len(shots), command=command,
-        lines="\n".join(f"- {shot}: {count} clips" for shot, count in counts.items()),
+        clips=counted(len(clips), "clip"), frames=options.frames, width=width, height=height, shots=len(shots),
+        command=command,
+        lines="\n".join(f"- {shot}: {counted(count, 'clip')}" for shot, count in counts.items()),
     )  # fmt: skip
     write_atomically(out / "dataset.json", dumps(card, indent=2).encode())
     write_atomically(out / "DATA.md", utf8(text))
