@@ -198,6 +198,10 @@ def test_alike_and_reproject_are_their_torch_twins(gl, assert_images_close, size
     found, found_valid = glsl.reproject(stored, motion, here, before)
     assert np.array_equal(found_valid, valid.numpy())
     assert_images_close(found, image, "float32")
+    stored[before[0].repeat(7, axis=1) == 0] = np.inf  # taps without weight are not read
+    image, _ = ops.reproject(torch.from_numpy(stored), *tensors[1:2], tuple(tensors[2:4]), tuple(tensors[4:]))
+    found, _ = glsl.reproject(stored, motion, here, before)
+    assert np.array_equal(np.isfinite(found), image.isfinite().numpy())
 
 
 def test_every_operation_has_a_twin():

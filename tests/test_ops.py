@@ -353,6 +353,23 @@ def test_reproject_takes_no_tap_from_another_surface():
     assert not valid.any() and not found.any()
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_reproject_does_not_read_what_has_no_weight(value):
+    """A depth of a miss may be infinite: it stays where it is, and out of the surface beside it."""
+    depth, normal = surfaces(4, 8)
+    depth = torch.where(torch.arange(8).expand(1, 1, 4, 8) > 2, 9.0, depth)
+    stored = torch.where(depth > 3, value, 1.0)
+    motion = torch.zeros(1, 2, 4, 8)
+    still, _ = reproject(stored, motion, (depth, normal), (depth, normal))
+    motion[:, 0] = 0.5
+    moved, valid = reproject(stored, motion, (depth, normal), (depth, normal))
+    motion[:, 0] = 1e4
+    away, found = reproject(stored, motion, (depth, normal), (depth, normal))
+    for image in (still, moved):
+        assert torch.equal(image[..., :3], torch.ones(1, 1, 4, 3)) and not image[..., 3:].isfinite().any()
+    assert valid.all() and not found.any() and not away.any()
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e30, 9.0, -9.0])
 def test_reproject_finds_nothing_off_the_screen(bad):
     found, valid = reproject(torch.ones(1, 2, 4, 8), torch.full((1, 2, 4, 8), bad), surfaces(4, 8), surfaces(4, 8))

@@ -372,6 +372,17 @@ def test_tested_reprojection(both, assert_images_close, size):
     assert_images_close(fused[0], plain[0], "float32 quotient")
 
 
+@pytest.mark.parametrize("backend, size", CASES, indirect=["backend"], ids=str)
+def test_tested_reprojection_of_what_is_not_finite(both, assert_images_close, size):
+    """Taps without weight are not read: what they hold does not reach other surfaces."""
+    normal, depth, motion = torch.ones(2, 3, *size), 1 + 0.3 * torch.rand(2, 1, *size), 3 * torch.randn(2, 2, *size)
+    motion[0] = motion[0].round()
+    stored = torch.randn(2, 4, *size).where(depth < 1.25, math.inf)
+    plain, fused = both(ops.reproject, stored, motion, (depth, normal), (depth, normal))
+    assert torch.equal(plain[0].isfinite(), fused[0].isfinite())
+    assert_images_close(fused[0].nan_to_num(posinf=0), plain[0].nan_to_num(posinf=0), "float32 quotient")
+
+
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_tested_reprojection_gradients(both, assert_images_close, size):
     """Images of several channel counts, one without a gradient; taps on other surfaces get no gradient."""

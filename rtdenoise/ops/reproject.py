@@ -31,7 +31,8 @@ def reproject(
 
     with the bilinear weights b_t, and v_t = 1 where t is on the screen and its surface is `alike` the one at p. Where
     Σ b v < `MIN_HISTORY_WEIGHT` the result is 0 and not valid. So history neither leaks across silhouettes nor fades at
-    them. Differentiable in `stored`.
+    them. A tap without weight is not read: NaN and infinite values, as the depth of a miss, do not leak either.
+    Differentiable in `stored`.
 
     Raises ValueError where the shapes do not fit, or nothing is stored.
     """
@@ -66,6 +67,7 @@ def reproject(
         same = alike(surface, (before[:, :1], before[:, 1:]), depth_tolerance, normal_tolerance) & inside.unsqueeze(1)
         weight = ((f if dx else 1 - f) * (g if dy else 1 - g)).unsqueeze(1) * same
         total = total + weight
-        found = found + weight * flat.gather(2, index.expand(B, C, H * W)).reshape(B, C, H, W)
+        there = flat.gather(2, index.expand(B, C, H * W)).reshape(B, C, H, W)
+        found = found + weight * there.where(weight > 0, 0.0)
     valid = total >= MIN_HISTORY_WEIGHT
     return torch.where(valid, found / total.clamp(min=MIN_HISTORY_WEIGHT), 0.0), valid

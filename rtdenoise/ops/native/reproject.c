@@ -57,6 +57,28 @@ static inline void look(Row r, const int *left, const int *top, const float *f, 
     }
 }
 
+// Whether `look` has made NaN, as of 0 · NaN or 0 · ∞.
+static inline int has_nan(Row r, int from, int to) {
+    int found = 0;
+    for (int c = 0; c < C; c++)
+        for (int x = from; x < to; x++) found |= r.out[c * r.plane + x] != r.out[c * r.plane + x];
+    return found;
+}
+
+// The same pixels again, without reading taps that have no weight.
+static __attribute__((noinline)) void look_again(Row r, const int *left, const int *top, const float *f, const float *g,
+                                                 int from, int to) {
+    for (int x = from; x < to; x++) {
+        float total = 0, sum[C] = {0};
+        for (int tap = 0; tap < 4; tap++) {
+            Tap t = look_at(tap, r, x, left[x - from], top[x - from], f[x - from], g[x - from], 0, 0);
+            total += t.weight;
+            for (int c = 0; c < C && t.weight > 0; c++) sum[c] = fmaf(t.weight, r.stored[c][t.at], sum[c]);
+        }
+        for (int c = 0; c < C; c++) r.out[c * r.plane + x] = total >= MIN_HISTORY_WEIGHT ? sum[c] * (1 / total) : 0;
+    }
+}
+
 // stored: B × C planes; out [B, C, H, W], motion [B, 2, H, W], depths [B, 1, H, W], normals [B, 3, H, W], valid [B, 1, H, W]
 // bool, all contiguous.
 void reproject(const float *const *stored, const float *motion, const float *depth, const float *normal,
@@ -84,6 +106,7 @@ void reproject(const float *const *stored, const float *motion, const float *dep
             int on_screen = left[0] >= 0 && left[0] + n < W && top[0] >= 0 && top[0] + 1 < H;
             if (apart || !on_screen) look(r, left, top, f, g, from, from + n, 0, 0);
             else look(r, left, top, f, g, from, from + n, 1, top[0] * W + left[0] - from);
+            if (has_nan(r, from, from + n)) look_again(r, left, top, f, g, from, from + n);
         }
     }
 }

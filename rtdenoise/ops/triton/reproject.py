@@ -16,8 +16,8 @@ from .path import bounded
 @triton.jit
 def _tap(TAP: tl.constexpr, u, v, depth_before, normal_before, plane, d, nx, ny, nz, exists, H, W, depth_tolerance,
          normal_tolerance):  # fmt: skip
-    """The bilinear weight of one of the four pixels around a target, if it shows the same surface; its place, -1 off
-    the screen."""
+    """The bilinear weight of one of the four pixels around a target, if it shows the same surface; its place, -1 where
+    it has no weight."""
     left, top = tl.floor(u), tl.floor(v)
     f, g = u - left, v - top
     i, j = top.to(tl.int32) + TAP // 2, left.to(tl.int32) + TAP % 2
@@ -26,7 +26,7 @@ def _tap(TAP: tl.constexpr, u, v, depth_before, normal_before, plane, d, nx, ny,
     wd, wx, wy, wz = surface_at(depth_before, normal_before, plane, at, inside)
     same = inside & alike(d, nx, ny, nz, wd, wx, wy, wz, depth_tolerance, normal_tolerance)
     weight = (f if TAP % 2 else 1 - f) * (g if TAP // 2 else 1 - g)
-    return tl.where(same, weight, 0.0), tl.where(inside, at, -1)
+    return tl.where(same, weight, 0.0), tl.where(same & (weight > 0), at, -1)
 
 
 @triton.jit
@@ -52,7 +52,7 @@ def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, 
                    normal_tolerance)  # fmt: skip
     total = w0 + w1 + w2 + w3
     enough = total >= MIN_HISTORY_WEIGHT
-    scale = tl.where(enough, 1 / tl.maximum(total, MIN_HISTORY_WEIGHT), 0.0)
+    scale = 1 / tl.maximum(total, MIN_HISTORY_WEIGHT)
     out += b * TOTAL * plane + pixel
     for n in tl.static_range(len(stored)):
         for c in range(COUNTS[n]):
@@ -61,7 +61,7 @@ def _reproject(stored, motion, depth, normal, depth_before, normal_before, out, 
             found += w1 * tl.load(source + at1, mask=at1 >= 0, other=0.0)
             found += w2 * tl.load(source + at2, mask=at2 >= 0, other=0.0)
             found += w3 * tl.load(source + at3, mask=at3 >= 0, other=0.0)
-            tl.store(out, found * scale, mask=exists)
+            tl.store(out, tl.where(enough, found * scale, 0.0), mask=exists)
             out += plane
     tl.store(valid + b * plane + pixel, enough.to(tl.uint8), mask=exists)
 
