@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
+from rtdenoise.motion import on_screen
 from rtdenoise.ops import apply_kernel, blend, compose, downsample, fetch, pick, reproject, soften, upsample, use, warp
 from rtdenoise.ops.logits import cells as cells_of
 from rtdenoise.ops.logits import whole
@@ -299,6 +300,9 @@ def test_half_precision_motion_reaches_all_columns():
     image = torch.randn(1, 1, 2, 3000)
     for op in (fetch, warp):
         assert torch.equal(op(image, torch.zeros(1, 2, 2, 3000).half()), image)
+    onward = torch.ones(1, 2, 2, 3000)
+    for dtype in (torch.float16, torch.bfloat16):
+        assert torch.equal(on_screen(onward.to(dtype)), on_screen(onward))
 
 
 @pytest.mark.parametrize(

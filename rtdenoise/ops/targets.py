@@ -19,6 +19,7 @@ def clamped_targets(motion: Tensor, H: int, W: int) -> tuple[Tensor, Tensor]:
 def on_screen(motion: Tensor) -> Tensor:
     """Whether p + motion(p) lies on the image, `[B, 1, H, W]` bool. False for a motion that is not finite."""
     _, _, H, W = motion.shape
+    motion = motion.to(torch.promote_types(motion.dtype, torch.float32))  # as above
     u = motion[:, 0:1] + torch.arange(W, device=motion.device, dtype=motion.dtype)
     v = motion[:, 1:2] + torch.arange(H, device=motion.device, dtype=motion.dtype)[:, None]
     return (u >= -0.5) & (u <= W - 0.5) & (v >= -0.5) & (v <= H - 0.5)
