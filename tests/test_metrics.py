@@ -56,6 +56,28 @@ def test_ssim_is_scikit_images(images):
     assert math.isnan(ssim(image[..., :5, :5], reference[..., :5, :5], 1.0))
 
 
+def test_ssim_is_nan_where_its_windows_have_nan(images):
+    """Not in all that is to the right of it, and below."""
+    image, reference = images[0].clone(), images[1]
+    near, far = torch.zeros(2, 1, 1, 40, 30, dtype=torch.bool)
+    near[..., 13, 7], far[..., 14:, :], far[..., 8:] = True, True, True
+    expected = ssim(image, reference, 1.0, far), ssim(reference, image, 1.0, far)
+    image[0, 1, 10, 4] = math.nan
+    assert (ssim(image, reference, 1.0, far), ssim(reference, image, 1.0, far)) == pytest.approx(expected, rel=1e-6)
+    assert math.isnan(ssim(image, reference, 1.0, near)) and math.isnan(ssim(image, reference, 1.0))
+    only = torch.zeros(1, 1, 40, 30, dtype=torch.bool)
+    only[..., 14, 7] = True
+    assert math.isfinite(ssim(image, reference, 1.0, only))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_metrics_take_half_floats(images, dtype):
+    image, reference = images
+    for metric in (psnr, ssim, flip, relmse, smape, l1):
+        expected = metric(image, reference, 1.0)
+        assert metric(image.to(dtype), reference.to(dtype), 1.0) == pytest.approx(expected, rel=0.02)
+
+
 def test_masks_select_pixels(images):
     image, reference = images
     mask = torch.zeros(1, 1, 40, 30, dtype=torch.bool)

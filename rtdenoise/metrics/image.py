@@ -16,10 +16,12 @@ import numpy as np
 import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
+from torch.nn import functional as F
 
 from ..color import display, luminance
 from ..errors import InputError
 
+WINDOW = 7  # pixels: the side of SSIM's
 DARKEST = 2.0**-22  # luminance of a reference that HDR-FLIP finds exposures for; it stops at float32's epsilon, 2⁻²³
 
 
@@ -87,13 +89,18 @@ def l1(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | N
 
 def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
     """Structural similarity (Wang et al. 2004; scikit-image, 7×7 window) on the display transform; NaN for
-    frames smaller than the window. Raises ValueError for several images.
+    frames smaller than the window, and where the window of a pixel in the mask has NaN. Raises ValueError for several
+    images.
     """
     a, b = (_channels_last(display(x, scale)) for x in (image, reference))
-    if min(a.shape[:2]) < 7:
+    if min(a.shape[:2]) < WINDOW:
         return math.nan
-    _, similarity = structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)
-    return masked_mean(torch.from_numpy(np.ascontiguousarray(similarity)).permute(2, 0, 1)[None], mask)
+    lost = np.isnan(a) | np.isnan(b)
+    a, b = (np.where(lost, 0, x) for x in (a, b))  # scikit-image's running sums would carry NaN to the end of a row
+    _, similarity = structural_similarity(a, b, win_size=WINDOW, channel_axis=2, data_range=1.0, full=True)
+    reached = F.max_pool2d(torch.from_numpy(lost).permute(2, 0, 1).float(), WINDOW, stride=1, padding=WINDOW // 2) > 0
+    similarity = torch.from_numpy(np.ascontiguousarray(similarity)).permute(2, 0, 1)
+    return masked_mean(similarity.where(~reached, math.nan)[None], mask)
 
 
 def relmse(
@@ -160,9 +167,11 @@ def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_ra
 
 
 def _channels_last(image: Tensor) -> np.ndarray:
-    """`[1, 3, H, W]` as `[H, W, 3]`, for libraries that compare one image with one. Raises ValueError for several."""
+    """`[1, 3, H, W]` as `[H, W, 3]` of float32 or float64, for libraries that compare one image with one. Raises
+    ValueError for several."""
     if len(image) != 1:
         raise ValueError(f"expected one image [1, 3, H, W], got {tuple(image.shape)}")
+    image = image.to(torch.promote_types(image.dtype, torch.float32))
     return image[0].detach().permute(1, 2, 0).cpu().numpy()
 
 
