@@ -6,6 +6,7 @@ import importlib
 import logging
 import os
 import pkgutil
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -71,6 +72,18 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
     sources = {file.stem for file in (Path(*ops.__path__) / "native").glob("*.c")}
     # apply_kernel.c blends; convolve_bytes.py asks multiplies_bytes.c
     assert sources == files["native"] - {*shared, "blend_history"} | {"multiplies_bytes"}
+
+
+def test_the_page_of_backends_names_what_is_fused():
+    page = (Path(__file__).parents[1] / "docs" / "reference" / "backends.md").read_text()
+    covers = {line.split(" | ")[0]: line.split(" | ")[3] for line in page.splitlines() if line.startswith("| C")}
+    same, more = covers["| CUDA"].split("but for")[1].split(";")
+    native, without, more = (set(re.findall(r"`(\w+)`", part)) for part in (covers["| CPU"], same, more))
+    single = {"pixels", "lift"}  # the operations on single pixels
+    for folder, named in (("native", native), ("triton", native - without | more)):
+        fused = [op for _, op in declarations() if folder in op.support and op.file not in single]
+        assert all({op.name, op.file} & named for op in fused), folder
+        assert named <= {name for op in fused for name in (op.name, op.file)}, folder
 
 
 @pytest.mark.parametrize(
