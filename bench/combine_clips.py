@@ -4,9 +4,10 @@ python bench/combine_clips.py --out DIR --scenes SCENES [--motions examples/moti
 
 DIR/spp01, DIR/spp02 ... hold a clip file each for every window of a scene; half of the scenes are files, half are
 generated. Sample counts are nested: the frame at 4 spp is the mean of the first 4 samples of the frame at 32. Its
-reference is the mean of all others, in two halves, and not cleaned: a combiner that trains against references cleaned
-by a denoiser learns to return that denoiser's frames. With --held-out the clips show the scene files that training
-leaves out. Run again, it goes on where it stopped. `rtdenoise estimates DIR/spp*` denoises them.
+reference is the mean of all others (all but one, where they are odd), in two halves, and not cleaned: a combiner that
+trains against references cleaned by a denoiser learns to return that denoiser's frames. With --held-out the clips show
+the scene files that training leaves out. Run again, it goes on where it stopped. `rtdenoise estimates DIR/spp*`
+denoises them.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
     found = {}
     for spp in levels:
         seen = np.maximum(albedo[:, :, :spp].mean(2), emission[:, :, :spp].mean(2))
-        rest = (total - spp) // 2
+        rest = halves(levels, half, spp)
         found[spp] = shared | {
             "reference": color[:, :, -2 * rest :].mean(2), "reference_half": color[:, :, -rest:].mean(2),
             "indirect_reference": indirect[:, :, -2 * rest :].mean(2),
@@ -76,6 +77,11 @@ def render_levels(stage: Stage, number: int, levels: tuple[int, ...], half: int,
             "samples": np.full((*size, 1), spp, np.float32),
         }  # fmt: skip
     return found
+
+
+def halves(levels: tuple[int, ...], half: int, spp: int) -> int:
+    """Samples a pixel in each half of the reference of the noisy frame at `spp`."""
+    return (levels[-1] + 2 * half - spp) // 2
 
 
 def render_scene(
@@ -115,7 +121,7 @@ def render_scene(
             write_clip(
                 path,
                 [frame[spp] for frame in frames],
-                told | {"spp": spp, "reference_spp": levels[-1] + 2 * half - spp},
+                told | {"spp": spp, "reference_spp": 2 * halves(levels, half, spp)},
                 ["samples"],
             )
         print(f"clip {index}: {facts['kind']}, {facts.get('place', '')}, {time.time() - clock:.1f} s", flush=True)
@@ -148,7 +154,7 @@ def main(
         count: Number of clips.
         size: Side of a clip in pixels.
         frames: Frames of a clip.
-        levels: Samples per pixel of the noisy frames.
+        levels: Samples per pixel of the noisy frames, in ascending order.
         half: Half the samples per pixel that no noisy frame holds.
         seed: Of everything.
         windows: Clips of one scene.
@@ -156,10 +162,14 @@ def main(
             windows are cut from pictures of 1280×720 pixels and more.
         shard: (i, n): scenes g with g mod n = i.
     """
-    start_mitsuba(1)
-    out.mkdir(parents=True, exist_ok=True)
     if held_out and scenes is None:
         raise InputError("--held-out: goes with --scenes")
+    if [*levels] != sorted({*levels}) or not levels or levels[0] < 1:
+        raise InputError(f"--levels: expected counts from 1 on in ascending order, got {' '.join(map(str, levels))}")
+    if min(half, windows) < 1:
+        raise InputError(f"--half, --windows: expected 1 or more, got {half} and {windows}")
+    start_mitsuba(1)
+    out.mkdir(parents=True, exist_ok=True)
     files = find_scenes(scenes, motions, () if held_out else HELD_OUT) if scenes else ()
     if held_out:
         files = tuple(pair for pair in files if Path(pair[0]).parent.name in HELD_OUT)

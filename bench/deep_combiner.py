@@ -8,9 +8,11 @@ dc:FILE` and `bench/combine.py --combiners dc:FILE` take. Run again, it goes on 
 
 from __future__ import annotations
 
+import io
 import math
 import sys
 from pathlib import Path
+from pickle import UnpicklingError
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this checkout, whatever rtdenoise is installed
 from bench import ROOT, harness
@@ -21,6 +23,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from rtdenoise.baselines.deep_combiner import DeepCombiner
+from rtdenoise.errors import InputError
+from rtdenoise.files import write_atomically
 from rtdenoise.training.batches import TrainingSet, windows
 from rtdenoise.training.config import TrainConfig
 
@@ -58,9 +62,12 @@ def main(
     clips, kept, first = TrainingSet.open(options), out / "checkpoint.pt", 0
     out.mkdir(parents=True, exist_ok=True)
     if kept.exists():
-        first, weights, state = torch.load(kept, weights_only=True)
-        network.load_state_dict(weights)
-        optimiser.load_state_dict(state)
+        try:
+            first, weights, state = torch.load(kept, weights_only=True)
+            network.load_state_dict(weights)
+            optimiser.load_state_dict(state)
+        except (EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError, UnpicklingError):
+            raise InputError(f"{kept}: not a checkpoint of this script; remove it to begin anew") from None
     mean = None
     for step in range(first, steps):
         for group in optimiser.param_groups:
@@ -75,7 +82,9 @@ def main(
         ratio = (error.detach().mean() / relative_error(z, frame.reference).mean().clamp(min=1e-9)).log().item()
         mean = ratio if mean is None else 0.95 * mean + 0.05 * ratio
         if (step + 1) % KEEP == 0 or step + 1 == steps:
-            torch.save((step + 1, network.state_dict(), optimiser.state_dict()), kept)
+            content = io.BytesIO()
+            torch.save((step + 1, network.state_dict(), optimiser.state_dict()), content)
+            write_atomically(kept, content.getbuffer(), sync=True)
             print(f"step {step + 1}: error over z's {math.exp(mean):.3f}", flush=True)
     save_file(network.state_dict(), out / "weights.safetensors")
 

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from synthetic import make_frames
+from synthetic import make_frames, write_clips
 
-from bench import RESULTS, harness, tables
+from bench import RESULTS, combine_clips, deep_combiner, harness, tables
 from bench.latency.stages import staged
 from bench.latency.tables import table
 from rtdenoise import models
+from rtdenoise.errors import InputError
 
 ROOT = Path(__file__).parent.parent
 SCRIPTS = [
@@ -52,6 +53,21 @@ def test_bad_input_is_one_line(tmp_path):
     script = ROOT / "bench" / "calibration" / "tune_baselines.py"
     result = subprocess.run([sys.executable, script, tmp_path / "none"], capture_output=True, text=True)
     assert result.returncode == 2 and result.stderr.count("\n") == 1 and "none" in result.stderr
+
+
+@pytest.mark.parametrize("options", [{"levels": (4, 1)}, {"levels": (0, 1)}, {"half": 0}, {"windows": 0}])
+def test_clips_of_combiners_have_references_of_samples_of_their_own(options, tmp_path):
+    """Of other options the reference would be made of the noisy frames' samples."""
+    with pytest.raises(InputError, match=r"^--(levels|half).*expected"):
+        combine_clips.main(tmp_path / "clips", count=0, **options)
+    assert [combine_clips.halves((1, 4, 16), 3, spp) for spp in (1, 4, 16)] == [10, 9, 3]
+
+
+def test_a_damaged_checkpoint_of_the_deep_combiner_is_one_line(tmp_path):
+    write_clips(tmp_path, [0])
+    (tmp_path / "checkpoint.pt").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"checkpoint\.pt: not a checkpoint"):
+        deep_combiner.main((tmp_path,), tmp_path)
 
 
 def test_a_published_result_says_where_it_is_from_and_updates_its_pages(tmp_path, monkeypatch):
