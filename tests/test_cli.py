@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 
 import pytest
-from synthetic import make_frames, write_sequence
+from synthetic import make_frames, write_clips, write_sequence
 
 from rtdenoise import __version__
 from rtdenoise.cli import commands
@@ -68,6 +68,12 @@ def test_help_of_every_command_names_its_values(verb, capsys):
 
 def test_no_folders_are_none(capsys):
     assert refused(capsys, "estimates") == "rtdenoise: no clips: name at least one folder of clips\n"
+
+
+def test_estimates_say_how_to_train_on_them(tmp_path, capsys):
+    write_clips(tmp_path, [0])
+    main(["estimates", str(tmp_path), "--methods", "noisy,accumulate"])
+    assert "--frames 5 --estimates noisy accumulate --data" in capsys.readouterr().out
 
 
 def test_version(capsys):

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import InputError
+from .lists import split_names
 from .progress import progress_bar
 
 
@@ -28,6 +29,7 @@ class Estimates:
             raise InputError("no clips: name at least one folder of clips")
         from ..evaluate.estimates import write_all
 
+        methods = split_names(self.methods)
         signals = ("color", "indirect") if self.signal == "both" else (self.signal,)
         with progress_bar("estimates") as bar:
             task = bar.add_task("estimates", total=None)
@@ -35,5 +37,7 @@ class Estimates:
             def on_clip(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
 
-            count = write_all(self.folders, self.methods, signals, on_clip)
-        print(f"{count} estimates written; train with: rtdenoise train --model combiner --frames 5 --data ...")
+            count = write_all(self.folders, methods, signals, on_clip)
+        names = " ".join(method.partition("=")[0] for method in methods)  # those of NAME=FILE are in the folder NAME
+        learn = "" if methods == Estimates.methods else f" --estimates {names}"
+        print(f"{count} estimates written; train with: rtdenoise train --model combiner --frames 5{learn} --data ...")
