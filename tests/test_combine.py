@@ -125,6 +125,16 @@ def test_a_second_render_must_differ(shot, clean, tmp_path, capsys):
     assert error.endswith(", which is denoised; --second is a noisy render\n")
 
 
+def test_a_second_render_counts_by_its_files_whatever_it_is_called(shot, clean, frames, tmp_path, monkeypatch, capsys):
+    others = [frame.radiance * (0.5 + torch.rand_like(frame.radiance)) for frame in frames]
+    options = CombineOptions(model="shrinkage", second=str(write_images(tmp_path / "second", others)), samples=8)
+    run(shot, clean, tmp_path / "out", options=options)
+    monkeypatch.chdir(tmp_path)
+    assert run(shot, clean, tmp_path / "out", options=replace(options, second="second")).written == 0
+    error = refused(capsys, "combine", shot, clean, "--out", tmp_path / "out", "--model", "shrinkage", "--samples", 8)
+    assert "other options: second another render, now none;" in error
+
+
 def test_a_second_render_is_told_by_its_noise_also_where_pixels_are_broken_or_black(tmp_path, frames, capsys):
     broken = [frame.radiance.clone() for frame in frames]
     for image in broken:

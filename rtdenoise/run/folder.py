@@ -100,10 +100,12 @@ def refuse_other(out: Path, state: Mapping, options: Options, fingerprint: str) 
     """Raise InputError where the state in `out` (`denoise.read_state`) is of a run with another fingerprint."""
     if state["fingerprint"] == fingerprint:
         return
-    before = state["options"] | {"surfaces": bool(state["options"].get("surfaces"))}
+    before = _by_files(state["options"])
     now = json.loads(json.dumps(_decisive(options)))  # tuples become lists, as in `before`
     changed = [key for key in now if key in before and before[key] != now[key]]  # `combine` has other options
-    told = ", ".join(f"{key.replace('_', '-')} {before[key]}, now {now[key]}" for key in changed)
+    told = ", ".join(
+        f"{key.replace('_', '-')} {_shown(before[key])}, now {_shown(now[key])}" for key in changed
+    )
     unseen = "another input, layout or weights: a finished frame's input was changed or removed, perhaps"
     other = f"other options: {told}" if told else unseen
     raise InputError(f"{out}: holds frames of a run with {other}; choose another --out or pass --overwrite")
@@ -161,11 +163,21 @@ def write_summary(path: Path, sequence: Sequence, options: Options, summary: Sum
 
 
 def _decisive(options: Options) -> dict:
-    """The options that change the files. The second render counts by its files, whatever it is called."""
+    """The options that change the files."""
     parts = {name: value for name, value in asdict(options).items() if name not in INDECISIVE}
     if not (options.surfaces or getattr(options, "motion_blur", False)):
         parts = {name: value for name, value in parts.items() if not name.startswith("shutter")}
-    return parts | {"surfaces": bool(options.surfaces)}
+    return _by_files(parts)
+
+
+def _by_files(options: Mapping) -> dict:
+    """Options in which other renders count by their files alone, whatever their folders are called."""
+    second = {"second": "another render"} if options.get("second") else {}
+    return {**options, "surfaces": bool(options.get("surfaces")), **second}
+
+
+def _shown(value: object) -> object:
+    return "none" if value == "" else value
 
 
 def _refuse_junk(path: Path, size: tuple[int, int]) -> None:
