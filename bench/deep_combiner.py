@@ -19,7 +19,6 @@ from bench import ROOT, harness
 
 # isort: split
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from rtdenoise.baselines.deep_combiner import DeepCombiner
@@ -86,7 +85,7 @@ def main(
             torch.save((step + 1, network.state_dict(), optimiser.state_dict()), content)
             write_atomically(kept, content.getbuffer(), sync=True)
             print(f"step {step + 1}: error over z's {math.exp(mean):.3f}", flush=True)
-    save_file(network.state_dict(), out / "weights.safetensors")
+    network.save(out / "weights.safetensors")
 
 
 def relative_error(image: Tensor, reference: Tensor) -> Tensor:

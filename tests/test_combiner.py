@@ -587,6 +587,16 @@ def test_the_deep_combiner_in_strips_is_the_whole(monkeypatch):
         torch.testing.assert_close(network.combine(window).image, whole, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("softmax", [False, True])
+def test_weights_of_the_deep_combiner_tell_how_they_were_trained(softmax, tmp_path):
+    network, window = DeepCombiner(softmax), window_of(SMALL["ours"])
+    network.save(tmp_path / "dc.safetensors")
+    with torch.no_grad():
+        assert torch.equal(
+            DeepCombiner.load(tmp_path / "dc.safetensors").combine(window).image, network.combine(window).image
+        )
+
+
 def test_a_corrected_method_looks_ahead_and_ends_with_the_shot(tmp_path):
     save(create(SMALL["ours"]), tmp_path / "small.safetensors")
     (method,) = choose([f"svgf+{tmp_path / 'small.safetensors'}"])

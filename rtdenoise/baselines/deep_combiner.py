@@ -12,12 +12,13 @@ from itertools import pairwise
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
+from ..files import write_atomically
 from ..models.window import Combined, Window, comparable, with_features
 from ..ops import apply_kernel
 from ..ops.mean_distance import mean_distance
@@ -43,14 +44,20 @@ class DeepCombiner(nn.Module):
             nn.init.zeros_(layer.bias)
 
     @classmethod
-    def load(cls, path: str | Path, softmax: bool = False) -> DeepCombiner:
-        """The network with weights from a file. Raises InputError if they are not of this network."""
-        network = cls(softmax)
+    def load(cls, path: str | Path) -> DeepCombiner:
+        """The network that `save` wrote. Raises InputError for weights that are not of this network."""
         try:
+            with safe_open(path, framework="pt") as file:
+                network = cls((file.metadata() or {}).get("softmax") == "true")
             network.load_state_dict(load_file(path))
         except (SafetensorError, OSError, RuntimeError) as error:
             raise InputError(f"{path}: no weights of the deep combiner ({str(error).splitlines()[0]})") from None
         return network.eval().requires_grad_(False)
+
+    def save(self, path: str | Path) -> None:
+        """Write the weights, and whether they go with a softmax."""
+        metadata = {"softmax": str(self.softmax).lower()}
+        write_atomically(Path(path), save(self.state_dict(), metadata=metadata))
 
     def combine(self, window: Window) -> Combined:
         """Correct the middle frame of a window from itself alone."""
