@@ -205,7 +205,7 @@ def test_alike_and_reproject_are_their_torch_twins(gl, assert_images_close, size
 
 
 def test_every_operation_has_a_twin():
-    torch_alone = {"use", "attend_blocks", "attend_channels"}  # a switch; ops of networks without shaders
+    torch_alone = {"use", "attend_channels"}  # a switch; an op of networks without shaders
     assert set(ops.__all__) - torch_alone <= set(glsl.__all__)
 
 
