@@ -2,8 +2,8 @@
 
 CLIPS are those of `combine_clips.py`, with denoised frames beside them (`rtdenoise estimates`). Loss as in the authors'
 code: squared error over the squared mean of the reference's channels + 0.01. They train 50 epochs of Adam at 1e-4; the
-rate here is higher for fewer steps, with a cosine to zero. Writes OUT/weights.safetensors, which `evaluate --combiner
-dc:FILE` and `bench/combine.py --combiners dc:FILE` take. Run again, it goes on where it stopped.
+rate here is higher for fewer steps, with a cosine to zero. Writes OUT/weights.safetensors, which `rtdenoise evaluate
+--methods oidn+dc:FILE` and `bench/combine.py --combiners dc=FILE` take. Run again, it goes on where it stopped.
 """
 
 from __future__ import annotations
