@@ -321,6 +321,7 @@ def test_half_precision_motion_reaches_all_columns():
         (lambda: reprojected([x[:, :1] for x in surfaces(4, 4)], surfaces(4, 4)), "normal \\(1, 3, 4, 4\\)"),
         (lambda: downsample(torch.zeros(1, 3, 4, 4), "median"), "'median'"),
         (lambda: upsample(torch.zeros(1, 3, 4, 4), (5, 5)), "coarse image of 3×3"),
+        (lambda: upsample(torch.zeros(1, 3, 4, 4), (8, 8), "bicubic"), "'bicubic'"),
     ],
 )
 def test_wrong_shapes_are_named(call, message):

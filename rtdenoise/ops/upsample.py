@@ -14,8 +14,10 @@ def upsample(
     """U of eq. 4: bilinear ×2 on the same geometry as `downsample`.
 
     Fine pixel x samples the coarse row at u = clamp((x + ½)/2 - ½, 0, ·): weights ¾ and ¼, borders repeated. Odd sizes
-    crop the last row or column. Raises ValueError where `size` is not that of the finer level.
+    crop the last row or column. Raises ValueError where `size` is not that of the finer level, and for another `mode`.
     """
+    if mode not in ("bilinear", "nearest"):
+        raise ValueError(f"expected mode 'bilinear' or 'nearest', got {mode!r}")
     H, W = size
     if tuple(image.shape[2:]) != ((H + 1) // 2, (W + 1) // 2):
         raise ValueError(
