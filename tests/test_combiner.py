@@ -595,6 +595,10 @@ def test_weights_of_the_deep_combiner_tell_how_they_were_trained(softmax, tmp_pa
         assert torch.equal(
             DeepCombiner.load(tmp_path / "dc.safetensors").combine(window).image, network.combine(window).image
         )
+        network.layers[2].bias[0] = math.nan
+    network.save(tmp_path / "dc.safetensors")
+    with pytest.raises(InputError, match="not finite"):
+        DeepCombiner.load(tmp_path / "dc.safetensors")
 
 
 def test_a_corrected_method_looks_ahead_and_ends_with_the_shot(tmp_path):

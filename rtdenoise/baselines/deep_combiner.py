@@ -45,13 +45,15 @@ class DeepCombiner(nn.Module):
 
     @classmethod
     def load(cls, path: str | Path) -> DeepCombiner:
-        """The network that `save` wrote. Raises InputError for weights that are not of this network."""
+        """The network that `save` wrote. Raises InputError for weights that are not of this network, or not finite."""
         try:
             with safe_open(path, framework="pt") as file:
                 network = cls((file.metadata() or {}).get("softmax") == "true")
             network.load_state_dict(load_file(path))
         except (SafetensorError, OSError, RuntimeError) as error:
             raise InputError(f"{path}: no weights of the deep combiner ({str(error).splitlines()[0]})") from None
+        if not all(weights.isfinite().all() for weights in network.parameters()):
+            raise InputError(f"{path}: holds weights that are not finite; train them again")
         return network.eval().requires_grad_(False)
 
     def save(self, path: str | Path) -> None:
