@@ -40,6 +40,7 @@ def warp(
     Targets off the screen take the nearest border pixel (`motion.on_screen` tells which these are); a motion that is
     not finite counts as zero. Whole-pixel motion, zero included, is exact to the bit, so a static picture does not
     drift; only bilinear lookups in more than `MAX_CHANNELS` channels round (about 1e-7 of the image's width in pixels).
+    That holds for finite values: a tap of NaN, or of infinity at weight 0, makes NaN.
     Differentiable in `image` and, almost everywhere, in `motion`.
 
     Raises ValueError where the shapes do not fit, the image holds no floats, or `seen` is not bool.
