@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..constants import NOISE_WINDOW, NOISE_WINDOWS, RECALL_CELL, RECALL_FOOTPRINT_WORDS, RECALL_WORDS
+from ..constants import NOISE_WINDOW, NOISE_WINDOWS, RECALL_CELL, RECALL_FOOTPRINT_WORDS, RECALL_WORDS, RESET_WIDE
 from .context import GpuArray
 from .dispatch import SELECT_GROUP, dispatch, fill
 from .scratch import Scratch
@@ -92,7 +92,9 @@ class Recent:
         shown = self._scratch("seen", (3, *size, 4)) if seen is None else seen
         buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "past": past, "seen": shown}
         buffers |= {"reset": reset or past, "turned": turned or past}
-        dispatch("hybrid/see", size[::-1], buffers, ALONE=int(seen is None), TURNS=int(turned is not None))
+        counts = RESET_WIDE if inputs.wide_filter and not self._few else 1.0
+        kinds = {"ALONE": int(seen is None), "TURNS": int(turned is not None)}
+        dispatch("hybrid/see", size[::-1], buffers, RESET=counts, **kinds)
         return shown
 
     def over(self, seen: GpuArray, inputs: Inputs, vectors: GpuArray, recent: tuple[GpuArray, ...]) -> GpuArray:

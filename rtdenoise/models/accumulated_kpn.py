@@ -158,7 +158,7 @@ class AccumulatedKPN(nn.Module):
             recent = kept(self.config, frame, reset, noisy, known.shift), *(history.recent if history else ())
             after = replace(after, recent=recent[: self.config.recent])
         if self.config.footprint:
-            seen, count = footprint(frame, past, heads.reset)
+            seen, count = footprint(self.config, frame, past, said.reset)
             after = replace(after, footprint=seen, footprint_count=count)
         return output, after, Kernels(heads, past, said.reset)
 

@@ -15,6 +15,7 @@ from torch import Tensor
 from ..constants import EVENED_NOISE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..ops.around import greatest_around
 from ..ops.even_sky import even_sky
 from ..ops.evened import evened, held_and_tells
 from ..ops.fireflies import without_fireflies
@@ -36,6 +37,7 @@ class Hybrid(AccumulatedKPN):
         self.shares = config.shares  # of `mix`
         self.keeps_footprint = False  # in its history, for others who filter it: `load` with `footprint=True`
         self.keeps_fireflies = config.many  # a lone bright pixel of many samples is true more often than not
+        self.needs_history = config.kernels_need_history
 
     def step_and_kernels(
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
@@ -54,6 +56,8 @@ class Hybrid(AccumulatedKPN):
             past = kernels.past
             held, stays = past.on_screen & ~past.uncovered, past.stays
             trust = trusted(held, kernels.reset, stays)
+            if self.needs_history:
+                trust = trust * (greatest_around(after.footprint_count) - 1).clamp(0, 1)
 
             # Show the other network what has been seen in each pixel.
             shown = after.footprint if self.config.many else seen(frame, history, after, known, past.later)

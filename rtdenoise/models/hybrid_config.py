@@ -111,6 +111,12 @@ class HybridConfig(AccumulatedKPNConfig):
         return MIX_SHARES_OF_MANY if self.many else MIX_SHARES_OF_CLEAN if self.clean else MIX_SHARES
 
     @property
+    def kernels_need_history(self) -> bool:
+        """Whether the kernels' picture shows only where a pixel around has a history: of many samples, what is written
+        from clean albedo and normal is better than kernels over a single frame (docs/notes/many.md)."""
+        return self.many and self.clean
+
+    @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """As `NetworkConfig.shapes`."""
         shapes = self.pixels.shapes("pixels")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ..constants import OUTDATED_PICTURE, RECALL_SAME
+from ..constants import OUTDATED_PICTURE, RECALL_SAME, RESET_WIDE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
@@ -56,6 +56,12 @@ class Past:
         for share in (self.turned, self.outdated):
             left = left if share is None else left * (1 - share)
         return left.masked_fill(self.uncovered, 1)
+
+    def giving_way(self, reset: Tensor) -> Tensor:
+        """A network's reset, and what is `turned` or `outdated`, `[B, 1, H, W]` in [0, 1]."""
+        for share in (self.turned, self.outdated):
+            reset = reset if share is None else torch.lerp(reset, torch.ones_like(reset), share)
+        return reset
 
 
 def reprojected(
@@ -162,9 +168,13 @@ def _recalled(
     surface = frame.depth, frame.normal
     if not config.footprint:
         return recall(noisy, motion, surface, history.recent)
-    many = getattr(config, "many", False)
-    lone = None if many else scattered(frame.depth)  # depth of many samples is a mean: alone at every edge
+    lone = None if of_many(config) else scattered(frame.depth)  # depth of many samples is a mean: alone at every edge
     return recall(noisy, motion, surface, history.recent, uncovered, misplaced(config, frame, known), lone)
+
+
+def of_many(config: Config) -> bool:
+    """Whether a network with footprints is for many samples a pixel."""
+    return getattr(config, "many", False)
 
 
 def misplaced(config: Config, frame: Frame, known: Known) -> Tensor | None:
@@ -221,12 +231,16 @@ def kept(
     return keep(noisy, frame.depth, frame.normal, reset, motion, frame.albedo if config.footprint else None)
 
 
-def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
+def footprint(config: Config, frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
     """`History.footprint` and `footprint_count` of a sanitised frame. `reset`: how far what recent frames saw gives
-    way to it."""
+    way to it, as the network says; half of that counts for many samples behind a wide pixel filter, which no training
+    frame has: it takes soft edges for light that has changed (docs/notes/many.md)."""
     seen = footprint_of(frame)
     if past.footprint is None:
         return torch.cat(seen, dim=1), torch.ones_like(frame.depth)
+    if of_many(config) and frame.wide_filter:
+        reset = RESET_WIDE * reset
+    reset = past.giving_way(reset)
     return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf, RECALL_SAME)
 
 

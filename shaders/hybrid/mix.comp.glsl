@@ -1,6 +1,6 @@
 #version 430
 // The kernels' picture, the written one and the previous one as one picture (ops.mix).
-#pragma constants USUAL BEFORE LEAST MIX_CELL MIX_FAR MIX_NOISE MIX_TELLS MIX_UNCOVERED
+#pragma constants USUAL BEFORE LEAST NEEDS_HISTORY MIX_CELL MIX_FAR MIX_NOISE MIX_TELLS MIX_UNCOVERED
 #include "around.glsl"
 #include "curve.glsl"
 #include "past.glsl"
@@ -23,15 +23,15 @@ vec3 told_around(ivec2 cell, ivec2 extent) {
     return sum.xyz / sum.w;
 }
 
-// How far the noisy frame tells of this pixel: less where it was just uncovered and others around it have a history.
-float tells(ivec2 pixel, float held) {
+// The most frames in a footprint around a pixel, and whether a pixel there has a history.
+vec2 most_around(ivec2 pixel) {
     ivec2 extent = cells_of(size);
-    float around = 0.0;
+    vec2 most = vec2(0.0);
     for (int k = 0; k < 9; ++k) {
         ivec2 cell = pixel / AROUND_CELL + ivec2(k % 3, k / 3) - 1;
-        if (inside(cell, extent)) around = max(around, cells[at(cell, extent)].y);
+        if (inside(cell, extent)) most = max(most, cells[at(cell, extent)].xy);
     }
-    return held + (1.0 - held) * (1.0 - around);
+    return most;
 }
 
 void main() {
@@ -49,7 +49,10 @@ void main() {
     int i = at(pixel, size), plane = size.x * size.y;
     float noise = sums.z + MIX_NOISE, trust = seen[i + plane].w, held = has_history(past[i]) ? 1.0 : 0.0;
     float told_share = clamp((USUAL * noise + sums.x) / (noise + sums.y), 0.0, 1.0);
-    float telling = tells(pixel, held), scale = statistics[0];
+    vec2 around = most_around(pixel);
+    // How far the noisy frame tells of this pixel: less where it was just uncovered and others around it have a history.
+    float telling = held + (1.0 - held) * (1.0 - around.y), scale = statistics[0];
+    if (NEEDS_HISTORY == 1) trust *= clamp(around.x - 1.0, 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, telling);
     vec3 kernels = compressed(scale * max(denoised[i].rgb, 0.0)), light = compressed(scale * written[i].rgb);
     if (telling < MIX_TELLS) kernels = light + clamp(kernels - light, -MIX_UNCOVERED, MIX_UNCOVERED);  // just uncovered

@@ -1,7 +1,8 @@
 #version 430
 // The footprint of each pixel with this frame in it (models.past.footprint), the trust in history (models.hybrid.trusted), and how
-// far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what this frame shows.
-#pragma constants ALONE RECALL_SAME
+// far noise may be evened, as history does not give way (models.past.stays). With ALONE it is what this frame shows. RESET of the
+// network's reset counts for footprints.
+#pragma constants ALONE RECALL_SAME RESET
 #include "image.glsl"
 #include "giving_way.glsl"
 #include "albedo.glsl"
@@ -26,7 +27,7 @@ void main() {
     float weight = 1.0, trust = 1.0, stays = 1.0;
     if (ALONE == 0) {
         weight = 1.0 / (1.0 + seen[i].w);
-        weight += giving_way(reset[i], pixel) * (1.0 - weight);
+        weight += giving_way(RESET * reset[i], pixel) * (1.0 - weight);
         if (!is_uncovered(past[i])) stays -= giving_way(0.0, pixel);
         if (has_history(past[i])) trust = (1.0 - reset[i]) * 0.5 * (1.0 + stays);
         rgb = mean(seen[i].rgb, rgb, weight);
