@@ -330,7 +330,7 @@ def test_hybrids_for_many_samples_in_bytes(of_pixels):
     in_bytes, model = (load(f"{of_pixels}-many", precision=precision) for precision in ("int8", "fp32"))
     assert [type(part).__name__ for part in (in_bytes.unet, in_bytes.pixels)] == ["UNetInBytes", "PixelNetworkInBytes"]
     for a, b in zip(play(in_bytes, make_frames(2)), play(model, make_frames(2)), strict=True):
-        assert (compress(a) - compress(b)).abs().mean() < 0.012
+        assert (compress(a) - compress(b)).abs().mean() < 0.01
 
 
 def test_whole_weights_have_their_unit(tmp_path):
@@ -409,18 +409,18 @@ def test_only_for_many_samples_noise_tells_how_far_lookups_off_the_pixel_count(m
     torch.testing.assert_close(others, torch.full_like(others, 0.0 if many else 0.25), atol=0.01, rtol=0)
 
 
-@pytest.mark.parametrize("clean", [False, True])
-def test_kernels_of_many_samples_count_beside_clean_surfaces_where_a_pixel_around_has_a_history(clean, monkeypatch):
-    """In a first frame, and of a picture alone, what is written shows alone."""
+@pytest.mark.parametrize(("clean", "wide"), [(True, True), (True, False), (False, True)])
+def test_kernels_behind_a_wide_filter_count_where_a_pixel_around_has_a_history(clean, wide, monkeypatch):
+    """Of many samples, beside clean surfaces: in a first frame, or of a single picture, what is written shows alone."""
     trust = []
     monkeypatch.setattr(hybrid, "mix", lambda *a: trust.append(a[3]) or mix(*a))
     network = create(replace(SMALL, many=True, clean=clean)).eval()
-    frames = make_frames(2, H=16, W=80)
+    frames = [replace(frame, wide_filter=wide) for frame in make_frames(2, H=16, W=80)]
     new = torch.where(torch.arange(80) < 32, OFF_SCREEN, frames[1].motion)  # the first two cells of five
     with torch.no_grad():
         play(network, [frames[0], replace(frames[1], motion=new)])
     alone, beside = trust[1][..., :16], trust[1][..., 48:]
-    assert trust[0].max() == alone.max() == (not clean) and beside.max() > 0
+    assert trust[0].max() == alone.max() == (not (clean and wide)) and beside.max() > 0
 
 
 @pytest.mark.parametrize(("many", "wide", "share"), [(True, True, 0.5), (True, False, 1.0), (False, True, 1.0)])

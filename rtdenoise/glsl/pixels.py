@@ -26,7 +26,7 @@ class Pixels:
         self._scratch, self._many = scratch, config.many
         self._network = PixelNetwork(scratch, config.pixels, tensors, "pixels", "pixels")
         self._surfaces = Surfaces(scratch, config, tensors) if config.clean else None
-        self._shares, self._needs_history = config.shares, int(config.kernels_need_history)
+        self._shares, self._needs_history = config.shares, config.kernels_need_history
 
     def mix(
         self,
@@ -63,7 +63,7 @@ class Pixels:
         dispatch("hybrid/written", size, buffers, {"padded": padded}, USUAL=usual, **half)
         buffers = {"written": written, "past": past, "seen": seen, "cells": cells, "told": told}
         buffers |= {"statistics": statistics, "denoised": denoised, "mixed": mixed}
-        needs = {"NEEDS_HISTORY": self._needs_history}
+        needs = {"NEEDS_HISTORY": int(self._needs_history and inputs.wide_filter)}
         dispatch("hybrid/mix", size, buffers, USUAL=usual, BEFORE=before, LEAST=least, **needs)
         buffers = {"mixed": mixed, "surface": inputs.surface, "past": past, "seen": seen}
         buffers |= {"denoised": denoised, "result": result}

@@ -56,7 +56,7 @@ class Hybrid(AccumulatedKPN):
             past = kernels.past
             held, stays = past.on_screen & ~past.uncovered, past.stays
             trust = trusted(held, kernels.reset, stays)
-            if self.needs_history:
+            if self.needs_history and frame.wide_filter:
                 trust = trust * (greatest_around(after.footprint_count) - 1).clamp(0, 1)
 
             # Show the other network what has been seen in each pixel.

@@ -112,8 +112,8 @@ class HybridConfig(AccumulatedKPNConfig):
 
     @property
     def kernels_need_history(self) -> bool:
-        """Whether the kernels' picture shows only where a pixel around has a history: of many samples, what is written
-        from clean albedo and normal is better than kernels over a single frame (docs/notes/many.md)."""
+        """Whether, behind a wide pixel filter, the kernels' picture shows only where a pixel around has a history: they
+        know none from training, and what is written from clean albedo and normal is better (docs/notes/many.md)."""
         return self.many and self.clean
 
     @property
