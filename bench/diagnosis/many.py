@@ -13,6 +13,7 @@ of docs/notes/many.md.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # this checkout, whatever rtdenoise is installed
@@ -20,10 +21,12 @@ from bench import DOCS, RESULTS, harness
 
 # isort: split
 import tyro
+from torch import Tensor
 
 from bench.diagnosis.outdated import singles
 from bench.diagnosis.turned import errors, paired, pictures, pictures_of_oidn
 from rtdenoise.frame import Frame
+from rtdenoise.models import HybridConfig, past
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
 
@@ -33,7 +36,9 @@ METHODS = {
     "OIDN, albedo and normal filtered first": lambda frames: pictures_of_oidn(frames, clean=True),
     "`hybrid-many`": lambda frames: pictures(frames, "hybrid-many", 0),
     "`hybrid-many` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid-many", 2),
+    "`hybrid-large-many`, single frames, kernels everywhere": lambda frames: before(singles, frames),
     "`hybrid-large-many`, single frames": lambda frames: singles(frames, "hybrid-large-many"),
+    "`hybrid-large-many` with `--lookahead 2`, as before": lambda frames: before(pictures, frames, 2),
     "**`hybrid-large-many` with `--lookahead 2`**": lambda frames: pictures(frames, "hybrid-large-many", 2),
 }
 
@@ -49,6 +54,16 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
             rows.append({"shot": name, "samples": int(samples), "method": method, "psnr": psnr})
             print(rows[-1], flush=True)
     harness.publish(RESULT, {"rows": rows}, digits=4, pages=PAGES, tables=tables)
+
+
+def before(run: Callable, frames: list[Frame], *ahead: int) -> list[Tensor]:
+    """Pictures of `hybrid-large-many` with kernels also where no history is, and with the whole reset."""
+    share, past.RESET_WIDE = past.RESET_WIDE, 1.0
+    needs, HybridConfig.kernels_need_history = HybridConfig.kernels_need_history, False
+    try:
+        return run(frames, "hybrid-large-many", *ahead)
+    finally:
+        past.RESET_WIDE, HybridConfig.kernels_need_history = share, needs
 
 
 def read(shot: Path, references: Path) -> list[Frame]:
