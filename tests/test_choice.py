@@ -65,6 +65,7 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
         assert chosen(shot, Options(samples=samples))[0].model == model
     for real_time in ({"lookahead": 0}, {"offline": True}):
         assert chosen(shot, Options(samples=16, **real_time))[0].model == "hybrid-many"
+    assert chosen(CYCLES, Options(samples=16, offline=True))[0].model == "hybrid-large-many"
     assert chosen(shot, Options(model="fast"))[0].model == "fast"
     assert chosen(shot, Options(offline=True))[0].model == "hybrid"
     for file in shot.glob("*.exr"):

@@ -333,6 +333,22 @@ def test_hybrids_for_many_samples_in_bytes(of_pixels):
         assert (compress(a) - compress(b)).abs().mean() < 0.01
 
 
+@pytest.mark.parametrize(("model", "precision", "light"), [
+    ("hybrid-large-many", "auto", torch.float32), ("hybrid-large-many", "bf16", torch.bfloat16),
+    ("hybrid-many", "auto", torch.bfloat16), ("hybrid-large", "auto", torch.bfloat16),
+])  # fmt: skip
+def test_light_of_many_samples_beside_clean_surfaces_is_not_rounded(model, precision, light, monkeypatch):
+    """Unless asked for; the other networks are rounded, where that is faster. The weights are those that were read."""
+    monkeypatch.setattr("rtdenoise.models.loading.resolve", lambda *_: torch.bfloat16)
+    monkeypatch.setattr("rtdenoise.models.loading.takes_bytes", lambda *_: False)
+    network, exact = load(model, precision=precision), read(model)
+    assert network.full_head.weight.dtype == torch.bfloat16 and network.pixels.last.weight.dtype == light
+    assert {x.dtype for x in network.pixels.surfaces.parameters()} <= {torch.bfloat16}
+    same = torch.equal(network.pixels.last.weight.float(), exact.pixels.last.weight)
+    assert same == (light == torch.float32) and list(network.state_dict()) == list(exact.state_dict())
+    assert all(image.isfinite().all() for image in play(network, make_frames(2)))
+
+
 def test_whole_weights_have_their_unit(tmp_path):
     """Weights of eight bits are multiples of it; without it, or with one of another length, the file is named."""
     path, name = tmp_path / "w.safetensors", "pixels.encoder.5.weight"

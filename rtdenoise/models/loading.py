@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 from safetensors.torch import save as serialise
+from torch import nn
 
 from ..errors import InputError
 from ..files import in_order, write_atomically
@@ -47,7 +48,8 @@ def load(
     or 'auto': CUDA where there is a GPU. `precision` is that of the network: 'fp32', 'bf16', 'int8', or 'auto'
     (`inference.resolve`, `takes_bytes`); the rest is float32. 'int8' is for an `AccumulatedKPN` or `Hybrid` on a CPU:
     its networks in bytes (`in_bytes`), and what is left of them in bfloat16 or float32. 'auto' leaves the pixels of a
-    `Hybrid` for many samples out, and both those of a file with no bytes of them beside it.
+    `Hybrid` for many samples out, and both those of a file with no bytes of them beside it; on CPUs the light of one
+    that cleans albedo and normal stays in float32.
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation, or `footprint=True`: histories have `History.footprint` then.
 
@@ -60,7 +62,22 @@ def load(
         network.keeps_footprint = overrides.get("footprint", False)
     if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
         _into_bytes(network, file.path, must=precision == INT8)
-    return prepare(network.to(device), dtype)
+    network = network.to(device)
+    shows_rounding = isinstance(network, Hybrid) and network.config.many and network.config.clean
+    return _prepared(network, dtype) if precision == "auto" and shows_rounding else prepare(network, dtype)
+
+
+def _prepared(network: Hybrid, dtype: torch.dtype) -> Hybrid:
+    """As `prepare`, but on CPUs the network that writes light stays in float32: where many samples leave little noise
+    and albedo and normal are clean, the steps of bfloat16 are most of the error (docs/notes/many.md)."""
+    if dtype == torch.float32 or next(network.parameters()).device.type != "cpu":
+        return prepare(network, dtype)
+    light, network.pixels = network.pixels, nn.Module()
+    surfaces, light.surfaces = light.surfaces, nn.ModuleDict()
+    prepare(network, dtype)
+    network.pixels = prepare(light, torch.float32)
+    light.surfaces = prepare(surfaces, dtype)
+    return network
 
 
 def _placed(device: str | torch.device, precision: str) -> tuple[str | torch.device, torch.dtype]:

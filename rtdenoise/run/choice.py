@@ -64,7 +64,8 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     few, many = candidates(options.backend, options.correct)
     options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
     best = (few, many) == BEST
-    many = CLEAN[1] if best and options.lookahead else many  # else it is real time, or `offline`, that it is for
+    if best and (options.lookahead or (options.offline and wide)):  # docs/notes/many.md, docs/notes/offline.md
+        many = CLEAN[1]
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
