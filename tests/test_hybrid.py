@@ -24,7 +24,7 @@ from rtdenoise.exposure import noise_level
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save
 from rtdenoise.models.accumulated_kpn import AccumulatedKPN
-from rtdenoise.models.past import footprint, footprint_of, reprojected, seen
+from rtdenoise.models.past import footprint, footprint_of, reprojected, reset_of_footprint, seen
 from rtdenoise.models.pixel_network import PixelNetwork, written
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
@@ -445,7 +445,8 @@ def test_half_of_the_reset_of_many_samples_counts_for_footprints_behind_a_wide_f
     config, one = replace(SMALL, many=many), torch.ones_like(frame.depth)
     nothing, shown = reprojected(config, frame, frame.radiance, None), torch.cat(footprint_of(frame), dim=1)
     past = replace(nothing, turned=0.2 * one, footprint=shown, footprint_count=4 * one)
-    _, count = footprint(config, frame, past, 0.6 * one)
+    said = 0.6 * one
+    _, count = footprint(frame, past, reset_of_footprint(config, frame, past, said, past.giving_way(said)))
     reset = 1 - (1 - 0.6 * share) * 0.8
     torch.testing.assert_close(1 / count, one * (0.2 + 0.8 * reset))
 

@@ -36,7 +36,7 @@ from ..sanitise import admit
 from .config import AccumulatedKPNConfig
 from .inference import as_weights
 from .losses import frame_loss
-from .past import Past, followed, footprint, kept, reprojected, shifted
+from .past import Past, followed, footprint, kept, reprojected, reset_of_footprint, shifted
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, HeadsByCells, UNet, by_name, widened
 
@@ -61,12 +61,9 @@ class Heads:
     reset: Tensor  # [B, 1, H, W] in [0, 1]: how far the running mean of light gives way to the current frame
     sharp: Tensor  # [B, 1, H, W] in [0, 1]: weight of the current albedo against its running mean
 
-    def giving_way(self, share: Tensor | None) -> Heads:
-        """With so much less of history, `[B, 1, H, W]` in [0, 1]: of light, and of the denoised picture."""
-        if share is None:
-            return self
-        one = share.new_ones(())
-        alpha, reset = (torch.lerp(x, one, share) for x in (self.alpha_temporal, self.reset))
+    def giving_way(self, past: Past) -> Heads:
+        """With as much less of history as does not stay: of light, and of the denoised picture."""
+        alpha, reset = (past.giving_way(x) for x in (self.alpha_temporal, self.reset))
         return replace(self, alpha_temporal=alpha, reset=reset)
 
 
@@ -138,7 +135,7 @@ class AccumulatedKPN(nn.Module):
 
         # Predict kernels.
         said = self.predict(self.features(frame, noisy, mean_albedo, past, known))
-        heads = said.giving_way(past.turned).giving_way(past.outdated)
+        heads = said.giving_way(past)
 
         # Average light over time; the mean gives way where the network says that light has changed.
         if known.first:  # there is nothing to average
@@ -158,7 +155,8 @@ class AccumulatedKPN(nn.Module):
             recent = kept(self.config, frame, reset, noisy, known.shift), *(history.recent if history else ())
             after = replace(after, recent=recent[: self.config.recent])
         if self.config.footprint:
-            seen, count = footprint(self.config, frame, past, said.reset)
+            reset = reset_of_footprint(self.config, frame, past, said.reset, heads.reset)
+            seen, count = footprint(frame, past, reset)
             after = replace(after, footprint=seen, footprint_count=count)
         return output, after, Kernels(heads, past, said.reset)
 

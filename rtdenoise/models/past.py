@@ -57,11 +57,12 @@ class Past:
             left = left if share is None else left * (1 - share)
         return left.masked_fill(self.uncovered, 1)
 
-    def giving_way(self, reset: Tensor) -> Tensor:
-        """A network's reset, and what is `turned` or `outdated`, `[B, 1, H, W]` in [0, 1]."""
+    def giving_way(self, weight: Tensor) -> Tensor:
+        """A network's weight of the current frame against history, and what is `turned` or `outdated`, `[B, 1, H, W]`
+        in [0, 1]."""
         for share in (self.turned, self.outdated):
-            reset = reset if share is None else torch.lerp(reset, torch.ones_like(reset), share)
-        return reset
+            weight = weight if share is None else torch.lerp(weight, share.new_ones(()), share)
+        return weight
 
 
 def reprojected(
@@ -231,16 +232,19 @@ def kept(
     return keep(noisy, frame.depth, frame.normal, reset, motion, frame.albedo if config.footprint else None)
 
 
-def footprint(config: Config, frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
+def reset_of_footprint(config: Config, frame: Frame, past: Past, said: Tensor, reset: Tensor) -> Tensor:
+    """How far footprints give way: `reset`, as light does. Behind a wide pixel filter half of what a network for many
+    samples `said` counts: it has learnt from no such frame, and takes soft edges for light that has changed
+    (docs/notes/many.md)."""
+    return past.giving_way(RESET_WIDE * said) if of_many(config) and frame.wide_filter else reset
+
+
+def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:
     """`History.footprint` and `footprint_count` of a sanitised frame. `reset`: how far what recent frames saw gives
-    way to it, as the network says; half of that counts for many samples behind a wide pixel filter, which no training
-    frame has: it takes soft edges for light that has changed (docs/notes/many.md)."""
+    way to it."""
     seen = footprint_of(frame)
     if past.footprint is None:
         return torch.cat(seen, dim=1), torch.ones_like(frame.depth)
-    if of_many(config) and frame.wide_filter:
-        reset = RESET_WIDE * reset
-    reset = past.giving_way(reset)
     return accumulate(seen, past.footprint, past.footprint_count, reset, torch.inf, RECALL_SAME)
 
 
