@@ -42,17 +42,17 @@ METHODS = {
     "hybrid-fast": "**`hybrid-fast`**",
     "hybrid": "**`hybrid`**",
     "hybrid-large": "**`hybrid-large`**",
-    "hybrid-large-ahead2": "**`hybrid-large`** with `--lookahead 2`",
+    "hybrid-large-ahead6": "**`hybrid-large`** with `--lookahead 6`",
     "default int8": "`default`, int8",
     "hybrid-fast int8": "**`hybrid-fast`**, int8",
     "hybrid int8": "**`hybrid`**, int8",
-    "hybrid-ahead2 int8": "**`hybrid`** with `--lookahead 2`, int8",
+    "hybrid-ahead6 int8": "**`hybrid`** with `--lookahead 6`, int8",
     "hybrid-large int8": "**`hybrid-large`**, int8",
-    "hybrid-large-ahead2 int8": "**`hybrid-large`** with `--lookahead 2`, int8",
+    "hybrid-large-ahead6 int8": "**`hybrid-large`** with `--lookahead 6`, int8",
 }
 IN_BYTES = tuple(method.removesuffix(" int8") for method in METHODS if method.endswith(" int8"))
 ALONE = "-spatial"  # ends the names of single frames, which are not timed
-AHEAD = "-ahead2"  # ends those of what sees two frames ahead
+AHEAD = "-ahead6"  # ends those of what sees six frames ahead
 SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
@@ -85,7 +85,7 @@ def times_of(size: str, precision: str) -> dict:
         shown = method.removesuffix(" int8")
         name = shown.removesuffix(AHEAD)
         model = load(name, precision=precision) if shown == method else partly_in_bytes(name, precision)
-        known = Known(ahead=() if name == shown else (frame, frame))
+        known = Known(ahead=() if name == shown else 6 * (frame,))
         steps[method] = partial(model.step, frame, settled(model, frame), known)
     timings = harness.measure(steps, calls=9, warmup=2)
     return {"size": size, "precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}

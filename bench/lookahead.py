@@ -36,16 +36,16 @@ RESULT, PAGES = RESULTS / "lookahead.json", (DOCS / "notes" / "lookahead.md",)
 OUT, PICTURES = ROOT / "out" / "lookahead", DOCS / "images" / "lookahead"
 SIGNALS = ("color", "indirect")
 REFERENCE = "oidn"
-METHODS = ("default", "default-ahead2", "hybrid-fast", "hybrid-fast-ahead2", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
-           "hybrid-ahead4")  # fmt: skip
-IN_BYTES = ("hybrid-fast-ahead2", "hybrid-ahead2")
+METHODS = ("default", "default-ahead6", "hybrid-fast", "hybrid-fast-ahead6", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
+           "hybrid-ahead4", "hybrid-ahead6", "hybrid-ahead8", "hybrid-large", "hybrid-large-ahead6")  # fmt: skip
+IN_BYTES = ("hybrid-fast-ahead6", "hybrid-ahead2", "hybrid-ahead6", "hybrid-large-ahead6")
 MANY = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead2")
 MANY_IN_BYTES = ("hybrid-many",)
 METRICS = ("psnr_corrected", "flip", "tpsnr_corrected")
-SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "two ahead": "hybrid-ahead2"}
+SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "six ahead": "hybrid-ahead6"}
 DRAWN = ("standard720", "color"), ("street", "staircase2")  # the sequences that are drawn
 SETS = {"standard720": "windows of 1280×720", "standard": "small pictures"}
-TIMED, AHEAD = ("hybrid-fast", "hybrid"), (0, 1, 2, 4)
+TIMED, AHEAD = ("hybrid-fast", "hybrid"), (0, 1, 2, 4, 6, 8)
 
 
 def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:

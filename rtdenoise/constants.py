@@ -15,6 +15,7 @@ FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still
 
 # Recent frames whose light is looked up anew (`ops.recall`).
 RECALL_FRAMES = 8  # kept where footprints or frames ahead ask for any, whatever the configuration says
+RECALL_BOTH_SIDES = 12  # looked up where there are frames ahead, too: those nearest in time (docs/notes/lookahead.md)
 RECALL_WORDS = 5  # channels of a kept frame, two bfloat16 in each
 RECALL_FOOTPRINT_WORDS = 8  # of one that keeps albedo and the motion of edges, too
 RECALL_EDGE_SPEED = 1.0  # pixels a frame against what is behind it, up to which an edge is followed

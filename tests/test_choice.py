@@ -14,7 +14,7 @@ from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.denoise import denoise
-from rtdenoise.run.options import Options
+from rtdenoise.run.options import AHEAD, Options
 
 SAMPLE = Path(__file__).parents[1] / "samples" / "mural"
 CYCLES = Path(__file__).parent / "data" / "cycles"
@@ -60,7 +60,7 @@ def test_the_samples_that_cycles_notes_are_read(tmp_path):
 
 
 def test_the_network_is_that_of_the_samples(shot, tmp_path):
-    assert chosen(shot, Options()) == (Options(model="hybrid", lookahead=2), [])
+    assert chosen(shot, Options()) == (Options(model="hybrid", lookahead=AHEAD), [])
     for samples, model in ((3, "hybrid"), (4, "hybrid-large-many"), (16, "hybrid-large-many")):
         assert chosen(shot, Options(samples=samples))[0].model == model
     for real_time in ({"lookahead": 0}, {"offline": True}):
@@ -77,10 +77,11 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
 
 
 def test_how_many_frames_ahead(shot):
-    """Two where the network, chosen or named, writes pixels and has time; else as many as the user says."""
+    """Some where the network, chosen or named, writes pixels and has time; else as many as the user says."""
     for options, ahead in (
-        ({}, 2), ({"samples": 16}, 2), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 2),
-        ({"model": "hybrid-large"}, 2), ({"model": "hybrid", "lookahead": 0}, 0), ({"model": "default"}, 0),
+        ({}, 6), ({"samples": 16}, 2), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 6),
+        ({"model": "hybrid-large"}, 6), ({"model": "hybrid", "lookahead": 0}, 0), ({"model": "default"}, 0),
+        ({"model": "hybrid-many"}, 2), ({"model": "hybrid-large-many", "samples": 1}, 2),
         ({"model": "fast", "lookahead": 1}, 1), ({"backend": "glsl"}, 0), ({"correct": True}, 0),
         ({"model": "hybrid", "backend": "glsl"}, 0), ({"model": "hybrid", "offline": True}, 0), ({"offline": True}, 0),
     ):  # fmt: skip

@@ -12,11 +12,12 @@ from rtdenoise import Denoiser, models
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
-from rtdenoise.frame import Known, reverse
+from rtdenoise.frame import History, Known, reverse
 from rtdenoise.models import AccumulatedKPNConfig, past
 from rtdenoise.ops.pixels import demodulate
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.lookahead import linked
+from rtdenoise.run.options import AHEAD
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.run.torch_backend import TorchBackend
 from rtdenoise.sanitise import sanitise
@@ -82,6 +83,14 @@ def test_both_sides_are_joined_by_how_many_frames_they_are(frames):
     assert torch.equal(both.output, before.output) and torch.equal(both.uncovered, before.uncovered)
 
 
+def test_of_many_frames_those_nearest_count():
+    frame = make_frames(1)[0]
+    history = History(frame.radiance, frame.motion, frame.depth, frame.normal, recent=tuple(torch.arange(8).split(1)))
+    for ahead, before in ((0, 8), (2, 8), (4, 8), (6, 6), (8, 8), (16, 8)):
+        asked = past.nearest(history, Known(ahead=(frame,) * ahead))
+        assert asked.recent == history.recent[:before]
+
+
 @torch.inference_mode()
 def test_what_was_just_uncovered_was_seen_again(frames):
     frame, network = frames[2], models.load("default")
@@ -106,11 +115,11 @@ def test_it_gains():
 def test_a_lamp_shows_no_earlier_than_it_is_switched(name, factor):
     """Nor does one that goes out: light that changes is told from noise."""
     network, switched, history, found = models.load(name, precision="fp32"), 4, None, []
-    frames = [sanitise(frame) for frame in make_frames(6, H=96, W=128)]
+    frames = [sanitise(frame) for frame in make_frames(switched + AHEAD, H=96, W=128)]
     frames = [replace(f, radiance=f.radiance * (factor if i >= switched else 1)) for i, f in enumerate(frames)]
     with torch.inference_mode():
         for i, frame in enumerate(frames[:switched]):
-            ahead = tuple(frames[i + 1 : i + 3])
+            ahead = tuple(frames[i + 1 : i + 1 + AHEAD])
             image, _ = network.step(frame, history, Known(sanitised=True, ahead=ahead))
             expected, _ = network.step(frame, history, Known(sanitised=True, ahead=tuple(frames[i + 1 : switched])))
             _, history = network.step(frame, history, Known(sanitised=True))
@@ -262,10 +271,10 @@ def test_what_a_finished_run_is_told_of(tmp_path, weights):
         denoise(str(short), tmp_path / "short-out", replace(options, float32=True))
 
 
-def test_where_nothing_is_named_two_frames_are_ahead(tmp_path):
-    shot = write_sequence(tmp_path / "shot", make_frames(4))
+def test_where_nothing_is_named_six_frames_are_ahead(tmp_path):
+    shot = write_sequence(tmp_path / "shot", make_frames(8))
     denoise(str(shot), tmp_path / "auto", Options(float32=True))
-    denoise(str(shot), tmp_path / "named", Options(model="hybrid", lookahead=2, float32=True))
+    denoise(str(shot), tmp_path / "named", Options(model="hybrid", lookahead=6, float32=True))
     for path in (tmp_path / "auto").glob("*.exr"):
         assert path.read_bytes() == (tmp_path / "named" / path.name).read_bytes(), path.name
 

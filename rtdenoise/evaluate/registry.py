@@ -36,7 +36,7 @@ from .sequence import Step
 
 PRECISIONS = ("fp32", "bf16", INT8)
 DEFAULTS = (  # measured if none is named
-    "noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid", "hybrid-ahead2",
+    "noisy", "accumulate", "svgf", "oidn", "paper", "fast", "default", "hybrid", "hybrid-ahead6",
 )  # fmt: skip
 ALL = "all"
 AHEAD = re.compile(r"(.+)-ahead(\d+)")  # METHOD-aheadN: denoise --lookahead N

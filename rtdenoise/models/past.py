@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ..constants import OUTDATED_PICTURE, RECALL_SAME, RESET_WIDE
+from ..constants import OUTDATED_PICTURE, RECALL_BOTH_SIDES, RECALL_SAME, RESET_WIDE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
@@ -74,8 +74,17 @@ def reprojected(
 ) -> Past:
     """History, reprojected to this frame: means from the same surface only, the previous output from any. Light is the
     mean of recent frames where `config.recent` keeps any, and of those of `known.ahead`, or else a running mean."""
+    if history is not None:
+        history = nearest(history, known)
     past = _nothing(frame) if history is None else _before(config, frame, noisy, history, known)
     return _and_after(past, config, frame, noisy, known) if known.ahead else past
+
+
+def nearest(history: History, known: Known) -> History:
+    """`history` with the recent frames that are looked up: with those ahead `RECALL_BOTH_SIDES` at most, but no fewer
+    than are ahead. The farthest in time tell least."""
+    ahead = len(known.ahead)
+    return replace(history, recent=history.recent[: max(ahead, RECALL_BOTH_SIDES - ahead)])
 
 
 def _nothing(frame: Frame) -> Past:
@@ -261,7 +270,7 @@ def seen(
     frames before and frames after know such an edge, it is their mean, weighted by the frames that looked there."""
     seen, now, sides = after.footprint, footprint_of(frame), []
     if history is not None and history.recent and not known.still:
-        sides.append((frame.motion, history.recent))
+        sides.append((frame.motion, nearest(history, known).recent))
     if later is not None:
         sides.append((frame.motion_next, later.recent))
     if len(sides) < 2:

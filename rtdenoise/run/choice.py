@@ -12,7 +12,7 @@ from ..data.sequences import Sequence
 from ..models.hybrid_config import HybridConfig
 from ..models.weights import read_config
 from .lens_motion import with_lens_if_lacking
-from .options import AHEAD, AUTO, MIXED, Options
+from .options import AHEAD, AUTO, FEW_AHEAD, MIXED, Options
 from .panorama import with_panorama
 from .surfaces import with_surfaces
 
@@ -58,39 +58,42 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
         lost_samples=wide and samples < MIXED, veiled=sequence.layout.name == "cycles" and samples < MIXED,
     )  # fmt: skip
     if not auto:
-        return sequence, _looking(options, AHEAD if _may_look_ahead(options) else 0), notes
+        return sequence, _with(options, options.model), notes
     if "samples" not in layers:
         sequence = replace(sequence, rules={k: rule for k, rule in sequence.rules.items() if k != "samples"})
     few, many = candidates(options.backend, options.correct)
-    options = _looking(options, 0 if options.offline or (few, many) == KERNELS else AHEAD)
     best = (few, many) == BEST
-    if best and (options.lookahead or (options.offline and wide)):  # docs/notes/many.md, docs/notes/offline.md
+    waits = not options.offline if options.lookahead == AUTO else options.lookahead > 0
+    if best and (waits or (options.offline and wide)):  # docs/notes/many.md, docs/notes/offline.md
         many = CLEAN[1]
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
         told = f"model: {many}, for frames of little noise{because}; --samples 1 says otherwise"
-        return sequence, replace(options, model=many), [*notes, told]
+        return sequence, _with(options, many), [*notes, told]
     if samples >= LEAST:
         told = f"model: {many}, for {samples:g} samples a pixel{because}"
-        return sequence, replace(options, model=many), [*notes, told]
-    has_time = options.lookahead or options.offline
-    if best and has_time and (lost := _share_of_lost_samples(sequence)) > LOST:
+        return sequence, _with(options, many), [*notes, told]
+    if best and (waits or options.offline) and (lost := _share_of_lost_samples(sequence)) > LOST:
         told = f"model: {CLEAN[0]}, because {lost:.1%} of the samples are lost, as in water and glass"
-        return sequence, replace(options, model=CLEAN[0]), [*notes, f"{told}; --model {few} is faster"]
-    return sequence, replace(options, model=few), [*notes, *([f"model: {few}{because}"] if because else [])]
+        return sequence, _with(options, CLEAN[0]), [*notes, f"{told}; --model {few} is faster"]
+    return sequence, _with(options, few), [*notes, *([f"model: {few}{because}"] if because else [])]
 
 
-def _looking(options: Options, ahead: int) -> Options:
-    """The options with so many frames ahead where that is 'auto'."""
-    return replace(options, lookahead=ahead) if options.lookahead == AUTO else options
+def _with(options: Options, model: str) -> Options:
+    """The options with a network, and with its frames ahead where they are 'auto'."""
+    options = replace(options, model=model)
+    return replace(options, lookahead=_ahead(options)) if options.lookahead == AUTO else options
 
 
-def _may_look_ahead(options: Options) -> bool:
-    """Whether the network that `options` names does where nothing is said: one that writes pixels, as those of 'auto'.
-    Raises InputError where there is no such network."""
+def _ahead(options: Options) -> int:
+    """How many frames the network that `options` names looks ahead where nothing is said: none unless it writes pixels,
+    as those of 'auto'. Raises InputError where there is no such network."""
     if options.offline or options.correct or not _in_torch(options.backend):
-        return False
-    return read_config(options.model).architecture == HybridConfig.architecture
+        return 0
+    config = read_config(options.model)
+    if not isinstance(config, HybridConfig):
+        return 0
+    return FEW_AHEAD if config.many else AHEAD
 
 
 def _reason(options: Options) -> str:

@@ -17,7 +17,7 @@ from ..data.output_files import output_names
 from ..data.sequences import Sequence
 from ..files import LOCK
 from .folder import clear, refuse_no_folder
-from .options import AHEAD, SUMMARY, Options, Summary
+from .options import FEW_AHEAD, SUMMARY, Options, Summary
 from .state import STATE
 
 FOLDER = ".rtdenoise-picture"
@@ -32,7 +32,7 @@ class Picture:
         """As `denoise.denoise`. `on_frame` counts the frames three times, twice of them for the picture."""
         self._source, self._folder, self._overwrite, self._on_frame = source, out / FOLDER, overwrite, on_frame
         self._options = replace(options, lights=False, also=(), layout="plain", float32=True)
-        self.options_of_light = replace(options, lookahead=AHEAD)
+        self.options_of_light = replace(options, lookahead=FEW_AHEAD)
 
     def on_frame_of_light(self, done: int, total: int) -> None:
         """Progress of the light."""
