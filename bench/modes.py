@@ -35,14 +35,14 @@ class Mode:
     needs: str = "–"
 
 
-AHEAD, ALL = "two frames later", "all frames"
+AHEAD, ALL = "six frames later", "all frames"
 MODES = (
     Mode("`--model default`", "default int8"),
     Mode("`--model hybrid-fast --lookahead 0`", "hybrid-fast int8"),
     Mode("`--lookahead 0`: `hybrid` in real time", "hybrid int8"),
-    Mode("**nothing: `hybrid`, two frames ahead**", "hybrid-ahead2 int8", AHEAD),
+    Mode("**nothing: `hybrid`, six frames ahead**", "hybrid-ahead6 int8", AHEAD),
     Mode("`--model hybrid-large --lookahead 0`", "hybrid-large int8"),
-    Mode("`--model hybrid-large`", "hybrid-large-ahead2 int8", AHEAD),
+    Mode("`--model hybrid-large`", "hybrid-large-ahead6 int8", AHEAD),
     Mode("`--offline`", "offline-without-oidn", ALL),
     Mode("`--offline`, OIDN installed", "offline", ALL),
 )

@@ -93,7 +93,7 @@ def _ahead(options: Options) -> int:
     config = read_config(options.model)
     if not isinstance(config, HybridConfig):
         return 0
-    return FEW_AHEAD if config.many else AHEAD
+    return FEW_AHEAD if config.many or options.lights or options.also else AHEAD
 
 
 def _reason(options: Options) -> str:
