@@ -105,6 +105,7 @@ def test_ghost_length_counts_frames_until_the_error_has_settled():
     assert ghost([0.1, 0.4, 0.1]) == 2  # a late ghost counts
     assert ghost([0.9, 0.8, 0.7, 0.6, 0.1]) == 4  # not before the ages that are taken for settled
     assert math.isnan(ghost([0.1], count=4))  # too short to know
+    assert math.isnan(ghost_length([], [], [], [], 1.0))
 
 
 class StandIn:

@@ -126,12 +126,10 @@ def ghost_length(
 
 def ages(motions: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
     """Age of each pixel as `ghost_length` defines it, `[1, 1, H, W]` float; inf: none."""
-    age, result = torch.full_like(motions[0][:, :1], math.inf), []
-    for i, (motion, mask) in enumerate(zip(motions, masks, strict=True)):
-        if i:
-            age = torch.where(on_screen(motion), fetch(age, motion) + 1, math.inf)
-        age = torch.where(mask, 0.0, age)
-        result.append(age)
+    result: list[Tensor] = []
+    for motion, mask in zip(motions, masks, strict=True):
+        before = fetch(result[-1], motion) + 1 if result else torch.full_like(motion[:, :1], math.inf)
+        result.append(torch.where(mask, 0.0, torch.where(on_screen(motion), before, math.inf)))
     return result
 
 
