@@ -15,6 +15,7 @@ FAR_AWAY = 1e6  # pixels: longer motion is off the screen anyway, and this still
 
 # Recent frames whose light is looked up anew (`ops.recall`).
 RECALL_FRAMES = 8  # kept where footprints or frames ahead ask for any, whatever the configuration says
+RECALL_FRAMES_OF_PASS = 12  # likewise by each pass of the offline mode, of few samples a pixel
 RECALL_BOTH_SIDES = 12  # looked up where there are frames ahead, too: those nearest in time (docs/notes/lookahead.md)
 RECALL_WORDS = 5  # channels of a kept frame, two bfloat16 in each
 RECALL_FOOTPRINT_WORDS = 8  # of one that keeps albedo and the motion of edges, too
@@ -107,9 +108,9 @@ MIX_NOISE = 1e-6  # of their squares, that is there at least: pictures without n
 # The shares of the kernels' picture and of the previous one, and the least of the kernels' where the noisy frame tells
 # of other pixels. For many samples a pixel: a lookup of the previous picture costs more than it takes noise away, and
 # kernels may be worse than written pixels everywhere.
-MIX_SHARES, MIX_SHARES_OF_MANY = (0.4, 0.1, 0.4), (0.3, 0.0, 0.0)
-MIX_SHARES_OF_CLEAN = (0.3, 0.1, 0.3)  # beside pixels of albedo and normal without noise
-MIX_FAR = 0.2  # compressed light: a previous picture that differs by more counts as if it differed by this
+MIX_SHARES, MIX_SHARES_OF_MANY = (0.4, 0.2, 0.4), (0.3, 0.0, 0.0)
+MIX_SHARES_OF_CLEAN = (0.3, 0.2, 0.3)  # beside pixels of albedo and normal without noise
+MIX_FAR = 0.1  # compressed light: a previous picture that differs by more counts as if it differed by this
 MIX_UNCOVERED = 0.2  # likewise the kernels' picture, in pixels that were just uncovered: it spreads what shone beside
 MIX_TELLS = 0.5  # in those the noisy frame tells less than so far of the pixel itself
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history

@@ -483,7 +483,7 @@ def test_a_saved_network_comes_back(model, tmp_path):
 
 def test_an_interrupted_run_goes_on_to_the_bit(model, tmp_path):
     save(model, tmp_path / "w.safetensors")
-    shot = write_sequence(tmp_path / "shot", make_frames(6))
+    shot = write_sequence(tmp_path / "shot", make_frames(10))
     assert_goes_on(shot, tmp_path, Options(model=str(tmp_path / "w.safetensors"), precision="fp32", float32=True), 3)
 
 

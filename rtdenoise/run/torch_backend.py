@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..constants import RECALL_FRAMES, RECALL_RESET
+from ..constants import RECALL_FRAMES, RECALL_FRAMES_OF_PASS, RECALL_RESET
 from ..data.stored import of_resets, with_resets
 from ..errors import InputError
 from ..frame import Frame, Known
@@ -36,14 +36,15 @@ class TorchBackend:
         footprint: bool = False,
         lookahead: int = 0,
     ) -> None:
-        """`footprint`: the histories of a network that averages light have one, of `RECALL_FRAMES` frames. `lookahead`:
-        frames that its steps will get `ahead`; networks that keep none then keep `RECALL_FRAMES`. Raises InputError
-        where one cannot."""
+        """`footprint`: the histories of a network that averages light have one, for the offline mode, of
+        `RECALL_FRAMES_OF_PASS` frames. `lookahead`: frames that its steps will get `ahead`; networks that keep none
+        then keep `RECALL_FRAMES`, as those of many samples do for a footprint. Raises InputError where one cannot."""
         import torch
 
         from ..models import load
         from ..models.hybrid import Hybrid
         from ..models.inference import choose_device
+        from ..models.past import of_many
         from .graphs import stepper
 
         self.device = choose_device(device)
@@ -58,7 +59,8 @@ class TorchBackend:
         self._correct = correct
         config = self._denoiser.config
         if averages and (footprint or (lookahead and not config.recent)):
-            most = min(RECALL_FRAMES, math.ceil(config.longest) - 1)  # below the longest history
+            most = RECALL_FRAMES_OF_PASS if footprint and not of_many(config) else RECALL_FRAMES
+            most = min(most, math.ceil(config.longest) - 1)  # below the longest history
             self._denoiser.config = replace(config, recent=most, footprint=footprint or config.footprint)
             if isinstance(self._denoiser, Hybrid):
                 self._denoiser.keeps_footprint = footprint
