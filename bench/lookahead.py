@@ -1,11 +1,10 @@
-"""What is it worth to wait for a few frames more, and how good is `hybrid` at more samples a pixel?
+"""What is it worth to wait for a few frames more?
 
 python bench/lookahead.py SEQ ...    # sequences with references that no network was trained on
 
-Measures networks that look 1, 2 and 4 frames ahead (`denoise --lookahead`) at 1 sample, both signals. Sequences are
-told apart by the folder that they lie in. Where SEQ/spp4, SEQ/spp8 ... hold the same frames at more samples, also
-`hybrid`, `hybrid-many` and `hybrid-large-many`. Then the time of a step. Writes bench/results/lookahead.json, the
-tables of docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues.
+Measures networks that look 1 to 8 frames ahead (`denoise --lookahead`) at 1 sample, both signals. Sequences are told
+apart by the folder that they lie in. Then the time of a step. Writes bench/results/lookahead.json, tables of
+docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues.
 """
 
 from __future__ import annotations
@@ -39,8 +38,6 @@ REFERENCE = "oidn"
 METHODS = ("default", "default-ahead6", "hybrid-fast", "hybrid-fast-ahead6", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
            "hybrid-ahead4", "hybrid-ahead6", "hybrid-ahead8", "hybrid-large", "hybrid-large-ahead6")  # fmt: skip
 IN_BYTES = ("hybrid-fast-ahead6", "hybrid-ahead2", "hybrid-ahead6", "hybrid-large-ahead6")
-MANY = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead2")
-MANY_IN_BYTES = ("hybrid-many",)
 METRICS = ("psnr_corrected", "flip", "tpsnr_corrected")
 SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "six ahead": "hybrid-ahead6"}
 DRAWN = ("standard720", "color"), ("street", "staircase2")  # the sequences that are drawn
@@ -58,23 +55,18 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     for sequence in sequences:
         sets.setdefault(Path(sequence).resolve().parent.name, []).append(sequence)
     for where, members in sets.items():
-        counts = sorted({int(p.name[3:]) for s in members for p in Path(s).glob("spp*")})
         for signal in SIGNALS:
             at = {"metrics": METRICS, "signal": signal}
             run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *METHODS), **at))
             document = run(members, OUT / where / signal, EvaluateOptions(IN_BYTES, ("int8",), **at))
-            if counts:
-                run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *MANY), spp=tuple(counts), **at))
-                options = EvaluateOptions(MANY_IN_BYTES, ("int8",), spp=tuple(counts), **at)
-                document = run(members, OUT / where / signal, options)
             for name in document.sequences if (where, signal) == DRAWN[0] else ():
                 if name in DRAWN[1]:
                     facts = document.sequences[name]
                     strips.draw(OUT / where / signal, name, facts, SHOWN, PICTURES / f"{name}.webp")
-            for row in document.results:
+            for row in (row for row in document.results if row["spp"] == 1):
                 errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
-                rows.append({"set": where, "signal": signal, "sequence": row["sequence"], "method": label(row),
-                             "spp": row["spp"], **errors})  # fmt: skip
+                about = {"set": where, "signal": signal, "sequence": row["sequence"], "method": label(row)}
+                rows.append(about | errors)
     precisions = ("bf16", "fp32") if resolve("auto", "cpu") == torch.bfloat16 else ("fp32",)
     with torch.inference_mode():
         times = [times_of(precision) for precision in precisions]
@@ -101,18 +93,19 @@ def times_of(precision: str) -> dict:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `lookahead`, each method over OIDN; `lookahead-many`, by samples; `lookahead-times`."""
-    rows = {(r["set"], r["spp"], r["method"], r["sequence"], r["signal"]): r for r in document["rows"]}
-    return {"lookahead": _methods(rows), "lookahead-many": _many(rows), "lookahead-times": _times(document["times"])}
+    """Sections `lookahead`, each method over OIDN, and `lookahead-times`."""
+    rows = {(r["set"], r["method"], r["sequence"], r["signal"]): r for r in document["rows"]}
+    return {"lookahead": _methods(rows), "lookahead-times": _times(document["times"])}
 
 
-def _pairs(rows: dict, where: str, spp: int, method: str, signal: str = "") -> list[tuple[dict, dict]]:
-    """Rows of a method, each with OIDN's."""
-    found = [key for key in rows if key[:3] == (where, spp, method) and signal in key[4]]
-    return [(rows[key], rows[(*key[:2], REFERENCE, *key[3:])]) for key in found]
+def pairs_of(rows: dict, where: str | int, method: str, signal: str = "") -> list[tuple[dict, dict]]:
+    """Rows of a method, each with OIDN's. Keys: set or samples, method, sequence, signal."""
+    found = [key for key in rows if key[:2] == (where, method) and signal in key[3]]
+    return [(rows[key], rows[key[0], REFERENCE, *key[2:]]) for key in found]
 
 
-def _leads(pairs: list[tuple[dict, dict]], region: str = "frame", metric: str = "psnr_corrected") -> list[float]:
+def leads(pairs: list[tuple[dict, dict]], region: str = "frame", metric: str = "psnr_corrected") -> list[float]:
+    """How much more a method has than OIDN, of each pair that both have."""
     each = [(a[region][metric], b[region][metric]) for a, b in pairs]
     return [ours - theirs for ours, theirs in each if None not in (ours, theirs)]
 
@@ -125,33 +118,15 @@ def _methods(rows: dict) -> str:
     for where, shown in SETS.items():
         lines.append(f"| *{shown}* | | | | | | |")
         for method in (*METHODS, *(f"{name} int8" for name in IN_BYTES)):
-            pairs = _pairs(rows, where, 1, method)
-            each = [np.mean(_leads(_pairs(rows, where, 1, method, signal))) for signal in SIGNALS]
-            frame, uncovered = _leads(pairs), _leads(pairs, "uncovered")
+            pairs = pairs_of(rows, where, method)
+            each = [np.mean(leads(pairs_of(rows, where, method, signal))) for signal in SIGNALS]
+            frame, uncovered = leads(pairs), leads(pairs, "uncovered")
             flip = np.mean([a["frame"]["flip"] / b["frame"]["flip"] for a, b in pairs])
-            steady = np.mean(_leads(pairs, metric="tpsnr_corrected"))
+            steady = np.mean(leads(pairs, metric="tpsnr_corrected"))
             lines.append(
                 f"| `{method}` | {each[0]:+.2f}, {each[1]:+.2f} dB | {min(frame):+.2f} | {np.mean(uncovered):+.2f} | "
                 f"{min(uncovered):+.2f} | {flip:.2f}× | {steady:+.2f} |"
             )
-    return "\n".join(lines)
-
-
-def _many(rows: dict) -> str:
-    counts = sorted({spp for _, spp, *_ in rows} - {1})
-    lines = [
-        f"| | {' | '.join(f'{spp} spp' for spp in counts)} | {' | '.join(f'uncovered, {spp} spp' for spp in counts)} |",
-        "|---" * (2 * len(counts) + 1) + "|",
-    ]
-    for signal, shown in zip(SIGNALS, ("beauty", "indirect light"), strict=True):
-        lines.append(f"| *{shown}* |{' |' * 2 * len(counts)}")
-        for method in (*MANY, *(f"{name} int8" for name in MANY_IN_BYTES)):
-            cells = []
-            for region in ("frame", "uncovered"):
-                for spp in counts:
-                    leads = _leads(_pairs(rows, "standard720", spp, method, signal), region)
-                    cells.append(f"{np.mean(leads):+.2f}, {min(leads):+.2f}")
-            lines.append(f"| `{method}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -18,11 +18,10 @@ from bench import harness
 # -> section -> Markdown.
 MODULES = (
     "ablation", "attacks", "attention", "attention_cost", "combine", "combine_ablation", "combine_cycles",
-    "combine_papers", "cycles", "files", "held", "hybrid", "large", "latency_720p", "lookahead", "metropolis",
-    "missing_layers", "mltd", "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots", "stability",
-    "tiles", "whole_run", "calibration.cuts", "diagnosis.activity", "diagnosis.advance", "diagnosis.alpha",
-    "diagnosis.bias",
-    "diagnosis.changed", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.evened",
+    "combine_papers", "cycles", "files", "held", "hybrid", "large", "latency_720p", "lookahead", "lookahead_many",
+    "metropolis", "missing_layers", "mltd", "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots",
+    "stability", "tiles", "whole_run", "calibration.cuts", "diagnosis.activity", "diagnosis.advance", "diagnosis.alpha",
+    "diagnosis.bias", "diagnosis.changed", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.evened",
     "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation",
     "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost",
     "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.panorama", "diagnosis.retextured",

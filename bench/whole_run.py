@@ -31,7 +31,7 @@ from rtdenoise.data.exr import read_channels, read_header, write_layers
 RESULT, PAGES = RESULTS / "whole_run.json", (DOCS / "results" / "performance.md",)
 ONE = ["--samples", "1"]  # enlarged noise is taken for that of more
 MODES = {
-    "nothing: `hybrid`, two frames ahead": ONE, "`--lookahead 0`": [*ONE, "--lookahead", "0"],
+    "nothing: `hybrid`, six frames ahead": ONE, "`--lookahead 0`": [*ONE, "--lookahead", "0"],
     "`--model default`": ["--model", "default"],
 }  # fmt: skip
 FEW = 4  # frames of the short run
