@@ -21,12 +21,12 @@ MODULES = (
     "combine_papers", "cycles", "files", "held", "hybrid", "large", "latency_720p", "lookahead", "lookahead_many",
     "metropolis", "missing_layers", "mltd", "mltd_memory", "modes", "offline", "plan", "quality", "sample", "shots",
     "stability", "tiles", "whole_run", "calibration.cuts", "diagnosis.activity", "diagnosis.advance", "diagnosis.alpha",
-    "diagnosis.bias", "diagnosis.changed", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor", "diagnosis.evened",
-    "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog", "diagnosis.generalisation",
-    "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover", "diagnosis.lens", "diagnosis.lost",
-    "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated", "diagnosis.panorama", "diagnosis.retextured",
-    "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges", "diagnosis.trusted", "diagnosis.turned",
-    "diagnosis.virtual_motion", "diagnosis.where", "diagnosis.white",
+    "diagnosis.bias", "diagnosis.changed", "diagnosis.clean", "diagnosis.clean_input", "diagnosis.divisor",
+    "diagnosis.evened", "diagnosis.exposure", "diagnosis.extremes", "diagnosis.fireflies", "diagnosis.fog",
+    "diagnosis.generalisation", "diagnosis.ideal_history", "diagnosis.learning_curve", "diagnosis.leftover",
+    "diagnosis.lens", "diagnosis.lost", "diagnosis.many", "diagnosis.motion_blur", "diagnosis.outdated",
+    "diagnosis.panorama", "diagnosis.retextured", "diagnosis.scattered", "diagnosis.shadows", "diagnosis.soft_edges",
+    "diagnosis.trusted", "diagnosis.turned", "diagnosis.virtual_motion", "diagnosis.where", "diagnosis.white",
 )  # fmt: skip
 
 
