@@ -227,6 +227,8 @@ class Known:
     # The frames after, the next one first, sanitised and with motion; all but the last have motion_next, as has the
     # frame itself. For networks that keep recent frames (`run.lookahead`).
     ahead: tuple[Frame, ...] = ()
+    # How far surfaces turn, or textures move over them, from each of those to the next, [B, 1, H, W] (`models.past`).
+    turning: tuple[Tensor, ...] = ()
     waits: bool = False  # the frame before had such, too: what is older counts even where its own light was another
 
 

@@ -105,7 +105,12 @@ def advance(frame: Frame, depth: Tensor | None, normal: Tensor | None) -> Tensor
     return by.where(more - found > ADVANCE_GAIN * count, 0)
 
 
-def going_ahead(step: Step) -> Step:
+def advanced(frame: Frame, before: Frame) -> Tensor:
+    """`advance` from one frame to the next."""
+    return advance(frame, before.depth, before.normal)
+
+
+def going_ahead(step: Step, advanced: Callable[[Frame, Frame], Tensor] = advanced) -> Step:
     """A denoiser's step with the history, and the frames ahead, as from the camera of its frame, where that goes ahead
     (`advance`). Surfaces are told by their depth: those that are near would be others in each frame."""
 
@@ -116,9 +121,11 @@ def going_ahead(step: Step) -> Step:
             history = replace(history, depth=nearer(history.depth, by), recent=recent)
         ahead, before, total = [], frame, 0
         for other in known.ahead:
-            total = total + advance(other, before.depth, before.normal)
+            total = total + advanced(other, before)
             ahead.append(replace(other, depth=nearer(other.depth, -total)) if total.any() else other)
             before = other
+        if any(a is not b for a, b in zip(ahead, known.ahead, strict=True)):
+            known = replace(known, turning=())
         return step(frame, history, replace(known, sanitised=True, ahead=tuple(ahead)))
 
     return taken

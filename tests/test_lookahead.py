@@ -14,6 +14,7 @@ from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import History, Known, reverse
 from rtdenoise.models import AccumulatedKPNConfig, past
+from rtdenoise.models.past import turning
 from rtdenoise.ops.pixels import demodulate
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.lookahead import linked
@@ -89,6 +90,26 @@ def test_of_many_frames_those_nearest_count():
     for ahead, before in ((0, 8), (2, 8), (4, 8), (6, 6), (8, 8), (16, 8)):
         asked = past.nearest(history, Known(ahead=(frame,) * ahead))
         assert asked.recent == history.recent[:before]
+
+
+@pytest.mark.parametrize("side", [0, 64])
+def test_a_pair_of_frames_that_wait_is_compared_once(monkeypatch, side):
+    """And the picture is the same as where each step compares them anew, in tiles up to their rims."""
+    compared, ahead = [], 4
+    monkeypatch.setattr(past, "turning", lambda a, b, find=past.turning: compared.append(a.number) or find(a, b))
+    backend, network = TorchBackend("hybrid", "cpu", "fp32", lookahead=ahead), models.load("hybrid", precision="fp32")
+    if side:
+        backend._step = backend._whole = Tiled(backend.network, side).step
+    shot, history, expected = [backend.prepare(frame) for frame in make_frames(8)], None, None
+    for i, frame in enumerate(shot):
+        image, history = backend.denoise(frame, history, tuple(shot[i + 1 : i + 1 + ahead]))
+        assert compared == [*range(1, min(i + ahead, 7))]
+        if not side:
+            known = Known(sanitised=True, ahead=tuple(shot[i + 1 : i + 1 + ahead]), waits=True)
+            with torch.inference_mode(), monkeypatch.context() as patch:
+                patch.setattr(past, "turning", turning)
+                alone, expected = network.step(frame, expected, known)
+            assert torch.equal(image, alone)
 
 
 @torch.inference_mode()

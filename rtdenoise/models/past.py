@@ -151,10 +151,15 @@ def later(config: Config, frame: Frame, known: Known) -> History | None:
     if not known.ahead:
         return None
     following, shift = known.ahead[0], None if known.shift is None else -known.shift
-    turns = [_turned(a, b, a.motion_next) for a, b in pairwise(known.ahead)]
-    turns.append(torch.zeros_like(frame.depth))  # nothing is beyond the last
+    turns = known.turning or tuple(turning(a, b) for a, b in pairwise(known.ahead))
+    turns = *turns, torch.zeros_like(frame.depth)  # nothing is beyond the last
     recent = tuple(kept(config, reverse(a), turn, shift=shift) for a, turn in zip(known.ahead, turns, strict=True))
     return History(following.radiance, following.motion, following.depth, following.normal, recent=recent)
+
+
+def turning(frame: Frame, following: Frame) -> Tensor:
+    """How far surfaces turn, or textures move over them, from a frame to the one after it, `[B, 1, H, W]` in [0, 1]."""
+    return _turned(frame, following, frame.motion_next)
 
 
 def _turned(frame: Frame, other: Frame, motion: Tensor) -> Tensor:

@@ -76,7 +76,11 @@ def step_in_windows(
         within = replace(known, part=True)
         if known.shift is not None:
             within = replace(within, shift=known.shift[..., top:bottom, left:right])
-        within = replace(within, ahead=tuple(other.crop(top, left, *size) for other in known.ahead))
+        within = replace(
+            within,
+            ahead=tuple(other.crop(top, left, *size) for other in known.ahead),
+            turning=tuple(share[..., top:bottom, left:right] for share in known.turning),
+        )
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), before and _crop_history(before, window, frame.size), within
         )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..errors import InputError
 from ..frame import Frame, Known
 from ..models.presets import Config
 from .memory import explained
+from .once import Once
 from .plan import Plan, make_plan
 
 if TYPE_CHECKING:
@@ -41,10 +43,11 @@ class TorchBackend:
         then keep `RECALL_FRAMES`, as those of many samples do for a footprint. Raises InputError where one cannot."""
         import torch
 
+        from ..history import advanced
         from ..models import load
         from ..models.hybrid import Hybrid
         from ..models.inference import choose_device
-        from ..models.past import of_many
+        from ..models.past import of_many, turning
         from .graphs import stepper
 
         self.device = choose_device(device)
@@ -66,6 +69,7 @@ class TorchBackend:
                 self._denoiser.keeps_footprint = footprint
         self._step = self._whole = stepper(self._denoiser)
         self.waits = lookahead > 0  # `Known.waits`
+        self._advanced, self._turning = Once(advanced, lookahead), Once(turning, lookahead)
 
     @property
     def config(self) -> Config:
@@ -112,7 +116,9 @@ class TorchBackend:
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
         with self._inference(frame):
-            return going_ahead(step)(frame, history, Known(sanitised=True, ahead=ahead, waits=self.waits))
+            turning = tuple(self._turning(a, b) for a, b in pairwise(ahead)) if self.device == "cpu" else ()
+            known = Known(sanitised=True, ahead=ahead, turning=turning, waits=self.waits)
+            return going_ahead(step, self._advanced)(frame, history, known)
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
