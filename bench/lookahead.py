@@ -22,11 +22,10 @@ import numpy as np
 import torch
 import tyro
 
-from bench.latency.methods import partly_in_bytes, settled, synthetic_frame
+from bench.latency.methods import partly_in_bytes, stepping, synthetic_frame
 from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.options import EvaluateOptions
 from rtdenoise.evaluate.run import run
-from rtdenoise.frame import Known
 from rtdenoise.models import load
 from rtdenoise.models.inference import resolve
 from rtdenoise.report.readings import label
@@ -81,10 +80,8 @@ def times_of(precision: str) -> dict:
     for name in TIMED:
         models = {name: load(name, precision=precision), f"{name} int8": partly_in_bytes(name, precision)}
         for shown, network in models.items():
-            history = settled(network, frame)
             for count in AHEAD:
-                known = Known(ahead=(frame,) * count)
-                steps[f"{shown} {count}"] = partial(network.step, frame, history, known)
+                steps[f"{shown} {count}"] = stepping(network, frame, count)
     timings = harness.measure(steps, calls=7, warmup=2)
     return {"precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
 

@@ -7,14 +7,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import torch
 
 from rtdenoise import models, ops
 from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
-from rtdenoise.frame import Frame, History
+from rtdenoise.frame import Frame, History, Known
 from rtdenoise.models.inference import INT8, prepare, resolve
+from rtdenoise.models.past import turning
 from rtdenoise.models.weights import find, has_bytes
 from rtdenoise.run.graphs import Capture, Graphed
 
@@ -115,6 +117,19 @@ def settled(model: torch.nn.Module, frame: Frame) -> History:
     """A history with as many recent frames as it can have."""
     _, history = model.step(frame)
     return replace(history, recent=tuple(kept.clone() for kept in history.recent * model.config.recent))
+
+
+def stepping(model: torch.nn.Module, frame: Frame, ahead: int = 0) -> Callable[[], object]:
+    """A step with history and so many frames ahead, the last of which has just come: a run compares each pair of them
+    once (`rtdenoise.run.once`)."""
+    history, coming = settled(model, frame), ahead * (frame,)
+    known = [turning(*pair) for pair in pairwise(coming[:-1])]
+
+    def step() -> object:
+        new = [turning(*coming[-2:])] if ahead > 1 else []
+        return model.step(frame, history, Known(ahead=coming, turning=(*known, *new)))
+
+    return step
 
 
 def partly_in_bytes(name: str, precision: str) -> torch.nn.Module:
