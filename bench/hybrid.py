@@ -21,7 +21,7 @@ import numpy as np
 import torch
 import tyro
 
-from bench.latency.methods import partly_in_bytes, stepping, synthetic_frame
+from bench.latency.methods import partly_in_bytes, settled, stepping, synthetic_frame
 from rtdenoise.baselines import Oidn
 from rtdenoise.evaluate.options import EvaluateOptions
 from rtdenoise.evaluate.run import run
@@ -84,7 +84,7 @@ def times_of(size: str, precision: str) -> dict:
         shown = method.removesuffix(" int8")
         name = shown.removesuffix(AHEAD)
         model = load(name, precision=precision) if shown == method else partly_in_bytes(name, precision)
-        steps[method] = stepping(model, frame, 0 if name == shown else 6)
+        steps[method] = stepping(model, frame, settled(model, frame), 0 if name == shown else 6)
     timings = harness.measure(steps, calls=9, warmup=2)
     return {"size": size, "precision": precision, **{name: timing.median_ms for name, timing in timings.items()}}
 

@@ -119,10 +119,10 @@ def settled(model: torch.nn.Module, frame: Frame) -> History:
     return replace(history, recent=tuple(kept.clone() for kept in history.recent * model.config.recent))
 
 
-def stepping(model: torch.nn.Module, frame: Frame, ahead: int = 0) -> Callable[[], object]:
-    """A step with history and so many frames ahead, the last of which has just come: a run compares each pair of them
-    once (`rtdenoise.run.once`)."""
-    history, coming = settled(model, frame), ahead * (frame,)
+def stepping(model: torch.nn.Module, frame: Frame, history: History, ahead: int = 0) -> Callable[[], object]:
+    """A step with so many frames ahead, the last of which has just come: a run compares each pair of them once
+    (`rtdenoise.run.once`)."""
+    coming = ahead * (frame,)
     known = [turning(*pair) for pair in pairwise(coming[:-1])]
 
     def step() -> object:
