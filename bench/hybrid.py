@@ -52,7 +52,7 @@ METHODS = {
 IN_BYTES = tuple(method.removesuffix(" int8") for method in METHODS if method.endswith(" int8"))
 ALONE = "-spatial"  # ends the names of single frames, which are not timed
 AHEAD = "-ahead6"  # ends those of what sees six frames ahead
-SIZES = {"720p": (720, 1280), "144p": (144, 256)}  # that steps are timed at
+SIZES = {"720p": (720, 1280)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
 
