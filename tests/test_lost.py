@@ -72,7 +72,7 @@ def test_denoisers_take_a_network_for_water_where_many_are_lost(tmp_path):
     for file in sorted(SHOT.glob("*.exr"))[:2]:
         write_with_lost(file, tmp_path / file.name)
     sequence, options, (told,) = open_chosen(str(tmp_path), Options())
-    assert (options.model, options.lookahead, sequence.lost_samples) == ("hybrid-large", 2, True)
+    assert (options.model, options.lookahead, sequence.lost_samples) == ("hybrid-large", 6, True)
     assert told.startswith("model: hybrid-large, because 1.0% of the samples are lost, as in water and glass;"), told
     assert open_chosen(str(tmp_path), Options(offline=True))[1].model == "hybrid-large"
     for other in ({"lookahead": 0}, {"offline": True, "signal": "indirect"}, {"signal": "indirect"}):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from ..frame import Frame
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class Once:
