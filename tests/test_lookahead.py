@@ -18,6 +18,7 @@ from rtdenoise.models.past import turning
 from rtdenoise.ops.pixels import demodulate
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.lookahead import linked
+from rtdenoise.run.once import Once
 from rtdenoise.run.options import AHEAD
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.run.torch_backend import TorchBackend
@@ -110,6 +111,15 @@ def test_a_pair_of_frames_that_wait_is_compared_once(monkeypatch, side):
                 patch.setattr(past, "turning", turning)
                 alone, expected = network.step(frame, expected, known)
             assert torch.equal(image, alone)
+
+
+def test_frames_that_share_a_layer_are_others(frames):
+    """As where a program passes the same depth again and a screen shows something else."""
+    found = Once(lambda a, b: a.albedo - b.albedo, 4)
+    first, second, third = (replace(frame, depth=frames[0].depth) for frame in frames[:3])
+    assert not torch.equal(found(first, second), found(second, third))
+    darker = replace(first, radiance=first.radiance / 2)
+    assert found(darker, second) is found(first, second)
 
 
 @torch.inference_mode()

@@ -12,18 +12,22 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+LAYERS = "albedo", "normal", "depth", "motion", "motion_next"  # all but light, which is divided by other gains
+
+
 class Once:
-    """`find` of two frames with depth, whose last `most` results are kept. A frame is known by its depth, which stays
-    the same tensor when light is divided by a gain."""
+    """`find` of two frames by their `LAYERS`, whose last `most` results are kept. Frames are the same where these are
+    the same tensors."""
 
     def __init__(self, find: Callable[[Frame, Frame], Tensor], most: int) -> None:
         self._find = find
-        self._found: deque[tuple[Tensor, Tensor, Tensor]] = deque(maxlen=most)
+        self._found: deque[tuple[list[Tensor | None], Tensor]] = deque(maxlen=most)
 
     def __call__(self, first: Frame, second: Frame) -> Tensor:
-        for a, b, result in self._found:
-            if a is first.depth and b is second.depth:
+        asked = [getattr(frame, name) for frame in (first, second) for name in LAYERS]
+        for known, result in self._found:
+            if all(a is b for a, b in zip(known, asked, strict=True)):
                 return result
         result = self._find(first, second)
-        self._found.append((first.depth, second.depth, result))
+        self._found.append((asked, result))
         return result
