@@ -116,6 +116,12 @@ MIX_TELLS = 0.5  # in those the noisy frame tells less than so far of the pixel 
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 EVENED_NOISE = 0.3  # noise (`exposure.noise_level`) from which on that is its share; without noise it is 1
 
+# A picture and the one after it (`ops.settle`): how much of their difference over 3 × 3 pixels the first takes, and how
+# much of what is finer, where it has a history and where it has none.
+SETTLE_BROAD, SETTLE_FINE = 0.3, 0.1
+SETTLE_BROAD_NEW, SETTLE_FINE_NEW = 0.5, 0.4
+SETTLE_FAR = 0.1  # compressed light: greater differences count as this
+
 # The input of a network that writes pixels (`models.hybrid`).
 PIXELS_LIGHT = 0.4  # what light of a frame's brightness becomes (OIDN's auto-exposure: about a third)
 PIXELS_GREY = 0.06  # share of its mean over colours that light gets: these networks know no pure colours

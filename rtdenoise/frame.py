@@ -178,6 +178,9 @@ class History:
     # (`ops.recall`). No later step needs it: it is for those who filter what has been averaged.
     footprint: Tensor | None = None
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
+    # [B, 1, H, W] in [0, 1]: how far the picture trusts the one before; 0 where it has none. Likewise no step needs it:
+    # it is for `models.settled`, of steps that wait for frames after (`Known.waits`).
+    trusted: Tensor | None = None
 
     def layers(self) -> dict[str, Tensor]:
         """name -> tensor of every field that is there; hidden features are `hidden.0`, `hidden.1` ..., recent frames

@@ -14,7 +14,7 @@ from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.denoise import denoise
-from rtdenoise.run.options import AHEAD, Options
+from rtdenoise.run.options import AHEAD, MANY_AHEAD, Options
 
 SAMPLE = Path(__file__).parents[1] / "samples" / "mural"
 CYCLES = Path(__file__).parent / "data" / "cycles"
@@ -71,7 +71,7 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
     for file in shot.glob("*.exr"):
         write_again(file, {}, **{"cycles.ViewLayer.samples": "8"})
     eight = "model: hybrid-large-many, for 8 samples a pixel"
-    assert chosen(shot, Options()) == (Options(model="hybrid-large-many", lookahead=2), [eight])
+    assert chosen(shot, Options()) == (Options(model="hybrid-large-many", lookahead=MANY_AHEAD), [eight])
     assert chosen(shot, Options(samples=8)) == chosen(shot, Options()), "the same run, which continues"
     assert chosen(shot, Options(samples=2))[0].model == "hybrid"  # what the user says counts
 
@@ -79,7 +79,7 @@ def test_the_network_is_that_of_the_samples(shot, tmp_path):
 def test_how_many_frames_ahead(shot):
     """Some where the network, chosen or named, writes pixels and has time; else as many as the user says."""
     for options, ahead in (
-        ({}, 6), ({"samples": 16}, 2), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 6),
+        ({}, 6), ({"samples": 16}, 3), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 6),
         ({"model": "hybrid-large"}, 6), ({"model": "hybrid", "lookahead": 0}, 0), ({"model": "default"}, 0),
         ({"model": "hybrid-many"}, 2), ({"lights": True}, 2), ({"also": ("AO",)}, 2),
         ({"model": "fast", "lookahead": 1}, 1), ({"backend": "glsl"}, 0), ({"correct": True}, 0),
@@ -94,7 +94,7 @@ def test_noise_tells_where_nothing_else_does(shot):
     for file, planes in albedo.items():
         write_again(file, {c: planes[f"albedo.{c}"] for c in "RGB"})
     assert chosen(shot, Options()) == (
-        Options(model="hybrid-large-many", lookahead=2),
+        Options(model="hybrid-large-many", lookahead=MANY_AHEAD),
         ["model: hybrid-large-many, for frames of little noise; --samples 1 says otherwise"],
     )  # fmt: skip
     assert chosen(shot, Options(samples=1))[0].model == "hybrid"
@@ -143,7 +143,7 @@ def test_samples_that_contradict_the_headers_are_told(tmp_path, command, capsys)
 def test_a_run_with_many_samples_is_that_of_its_network(shot, tmp_path, capsys):
     main(["denoise", str(shot), "--out", str(tmp_path / "auto"), "--samples", "16", "--float32"])
     assert "model: hybrid-large-many, for 16 samples a pixel" in capsys.readouterr().out
-    denoise(str(shot), tmp_path / "named", Options(model="hybrid-large-many", lookahead=2, float32=True))
+    denoise(str(shot), tmp_path / "named", Options(model="hybrid-large-many", lookahead=MANY_AHEAD, float32=True))
     for file in (tmp_path / "named").glob("*.exr"):
         for name, plane in read_channels(file, ["R", "G", "B"]).items():
             assert np.array_equal(read_channels(tmp_path / "auto" / file.name, [name])[name], plane)

@@ -218,7 +218,9 @@ def test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image(model, n
     count, light = onward.footprint_count, seen(sanitise(second), history, onward)[:, :3]
     assert (count[..., 18:] == 1).all() and count[..., ~right].mean() > 1.2
     _, on_screen, uncovered = history_motion(second, history, "dual")
-    trust = hybrid.trusted(on_screen & ~uncovered, found.reset, found.past.stays)
+    held = (on_screen & ~uncovered).float()
+    trust = 1 - held * (1 - (1 - found.reset) * (1 + found.past.stays) / 2)
+    assert torch.equal(found.trust, trust)
     share = 0.4 * trust * (2 - count).clamp(0, 1) * (count.max() - 1).clamp(0, 1)  # of the image
     noisy = noise_level(sanitise(second).radiance, second.depth) / EVENED_NOISE
     assert noisy > 1 if noise == 1 else 0.01 < noisy < 0.9

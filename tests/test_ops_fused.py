@@ -31,6 +31,7 @@ from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.replace_invalid import replace_invalid
 from rtdenoise.ops.scattered import scattered
+from rtdenoise.ops.settle import settle
 from rtdenoise.ops.shares import shares
 from rtdenoise.ops.to_bytes import to_bytes
 from rtdenoise.ops.to_planes import to_planes
@@ -263,6 +264,19 @@ def test_light_is_evened_alike(both, assert_images_close, size):
     plain, fused = both(evened, light, count, image, trust)
     assert_images_close(fused, plain, "float32")
     assert torch.equal(fused[1], light[1]) and not torch.equal(fused[0], light[0])
+
+
+@pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)
+@pytest.mark.parametrize("backend", ["native"], indirect=True)
+def test_pictures_are_settled_alike(both, assert_images_close, size):
+    image = 5 * torch.rand(2, 3, *size)
+    following, noisy = ((image + spread * torch.randn_like(image)).clamp(min=0) for spread in (0.3, 2.0))
+    same, trusted = (torch.rand(2, 1, *size) for _ in range(2))
+    same[:, :, : size[0] // 2 + 1, : size[1] // 2] = 0
+    plain, fused = both(settle, image, following, noisy, same, trusted, torch.tensor([0.3, 7.0]).view(2, 1, 1, 1))
+    assert_images_close(fused, plain, "float32")
+    other = (same == 0).expand_as(image)
+    assert torch.equal(fused[other], image[other]) and not torch.equal(fused, image)
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)

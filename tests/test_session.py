@@ -13,7 +13,6 @@ from synthetic import make_frames
 import rtdenoise
 from rtdenoise import InputError, models
 from rtdenoise.glsl import Pipeline
-from rtdenoise.run.lookahead import Delayed
 
 FEATURES = ("albedo", "normal", "depth", "motion", "motion_next")
 
@@ -77,7 +76,6 @@ def test_a_picture_that_fails_leaves_no_trace(frames, lookahead):
 
     denoiser._backend.denoise = dies
     if lookahead:
-        denoiser._delayed = Delayed(dies, lookahead)
         color, features = batches(frames[0])
         assert denoiser(color, **features) is None
     with pytest.raises(InputError, match="no"):
@@ -89,17 +87,22 @@ def test_a_picture_that_fails_leaves_no_trace(frames, lookahead):
     assert not denoiser._forms
 
 
-def test_frames_that_always_fail_do_not_stop_those_after(frames):
-    """As large ones that do not fit into memory. Pictures that were ready still come."""
-    denoiser = rtdenoise.Denoiser("fast", lookahead=2)
+def failing_at(denoiser, *numbers):
+    """`denoiser` with a backend that fails at frames of these numbers."""
     real = denoiser._backend.denoise
 
     def dies(frame, *more):
-        if frame.number in (2, 3):
+        if frame.number in numbers:
             raise InputError("no")
         return real(frame, *more)
 
-    denoiser._delayed = Delayed(dies, 2)
+    denoiser._backend.denoise = dies
+    return denoiser
+
+
+def test_frames_that_always_fail_do_not_stop_those_after(frames):
+    """As large ones that do not fit into memory. Pictures that were ready still come."""
+    denoiser = failing_at(rtdenoise.Denoiser("fast", lookahead=2), 2, 3)
     color, features = pictures(frames[0])
     assert [denoiser(color, **features) for _ in range(2)] == [None] * 2
     denoiser.reset()
@@ -111,6 +114,19 @@ def test_frames_that_always_fail_do_not_stop_those_after(frames):
     assert denoiser(color, **features) is None
     (image,) = denoiser.flush()
     assert image.shape == color.shape and not denoiser._forms
+
+
+def test_a_picture_that_waits_for_one_that_fails_still_comes(frames):
+    """As that settles it (`models.settled`)."""
+    denoiser = failing_at(rtdenoise.Denoiser("fast", lookahead=3), 2)
+    color, features = pictures(frames[0])
+    assert [denoiser(color, **features) is None for _ in range(4)] == [True, True, True, False]  # that of 0
+    for _ in range(2):  # 2, for the picture of 1, and once more
+        with pytest.raises(InputError, match="no"):
+            denoiser(color, **features)
+    assert denoiser(color, **features) is None
+    images = denoiser.flush()
+    assert len(images) == 2 and not denoiser._forms  # those of 1 and of the last call
 
 
 @pytest.mark.parametrize("failing", ["mismatch", "denoise", "arguments"])

@@ -33,9 +33,11 @@ from rtdenoise.baselines import Oidn
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.data.sequences import Sequence
 from rtdenoise.frame import Frame, Known
-from rtdenoise.history import going_ahead
+from rtdenoise.history import advanced, going_ahead
 from rtdenoise.models import load, past
+from rtdenoise.models.settled import settled
 from rtdenoise.ops import turned
+from rtdenoise.run.lookahead import SETTLES_FROM
 from rtdenoise.sanitise import sanitise
 from rtdenoise.splat import completed_shot
 
@@ -138,15 +140,18 @@ def pictures_of_oidn(frames: list[Frame], clean: bool = False) -> list[Tensor]:
 
 @torch.inference_mode()
 def pictures(frames: list[Frame], name: str, ahead: int, **settings: object) -> list[Tensor]:
-    """`settings`: attributes of the network."""
+    """As `denoise --lookahead` has them. `settings`: attributes of the network."""
     network, history, found = load(name, precision="fp32"), None, []
     vars(network).update(settings)
-    step = going_ahead(network.step)
+    step, settles = going_ahead(network.step), ahead >= SETTLES_FROM
     frames = completed_shot(frames)
     for i, frame in enumerate(frames):
-        known = Known(ahead=tuple(frames[i + 1 : i + 1 + ahead]), waits=ahead > 0)
-        image, history = step(frame, history, known)
+        known = Known(ahead=tuple(frames[i + 1 : i + 1 + ahead - settles]), waits=ahead > 0)
+        image, after = step(frame, history, known)
         found.append(image)
+        if i and settles:
+            found[i - 1] = settled(history, after, advanced(frame, frames[i - 1]))
+        history = after
     return found
 
 

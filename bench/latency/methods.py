@@ -17,8 +17,10 @@ from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
 from rtdenoise.frame import Frame, History, Known
 from rtdenoise.models.inference import INT8, prepare, resolve
 from rtdenoise.models.past import turning
+from rtdenoise.models.settled import settled as finished
 from rtdenoise.models.weights import find, has_bytes
 from rtdenoise.run.graphs import Capture, Graphed
+from rtdenoise.run.lookahead import SETTLES_FROM
 
 from ..harness import check
 from .shaders import PRECISIONS, Shaders
@@ -120,14 +122,16 @@ def settled(model: torch.nn.Module, frame: Frame) -> History:
 
 
 def stepping(model: torch.nn.Module, frame: Frame, history: History, ahead: int = 0) -> Callable[[], object]:
-    """A step with so many frames ahead, the last of which has just come: a run compares each pair of them once
-    (`rtdenoise.run.once`)."""
-    coming = ahead * (frame,)
+    """A step of `denoise --lookahead`, the last of whose frames has just come: a run compares each pair of them once
+    (`rtdenoise.run.once`), and settles the picture before where it looks far enough ahead."""
+    settles = ahead >= SETTLES_FROM
+    coming = (ahead - settles) * (frame,)
     known = [turning(*pair) for pair in pairwise(coming[:-1])]
 
     def step() -> object:
-        new = [turning(*coming[-2:])] if ahead > 1 else []
-        return model.step(frame, history, Known(ahead=coming, turning=(*known, *new)))
+        new = [turning(*coming[-2:])] if len(coming) > 1 else []
+        image, after = model.step(frame, history, Known(ahead=coming, turning=(*known, *new), waits=ahead > 0))
+        return finished(after, after) if settles else image
 
     return step
 

@@ -18,7 +18,7 @@ from ..frame import HIDDEN, RECENT, SHIFTS
 
 CHANNELS = {  # field of `History` -> channels; hidden features have any number of them, at any size
     "radiance": 3, "motion_next": 2, "depth": 1, "normal": 3, "length": 1, "mean": 3, "mean_albedo": 3,
-    "noisy": 3, "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1,
+    "noisy": 3, "residual": 3, "residual_length": 1, "footprint": 9, "footprint_count": 1, "trusted": 1,
 }  # fmt: skip
 OF = "/"  # between the number of a light and the field of its history (`run.light`)
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`

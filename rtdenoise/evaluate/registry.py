@@ -184,7 +184,7 @@ def _ahead(base: Method, frames: int) -> Method:
 
     def start(device: str | torch.device, precision: str) -> Step:
         backend = TorchBackend(base.name, str(device), precision, lookahead=frames)
-        step = Lookahead(backend.denoise, frames).step
+        step = Lookahead(backend, frames).step
         return lambda frame, history: step(frame and backend.prepare(frame), history)
 
     return replace(base, name=f"{base.name}-ahead{frames}", what=f"{base.what}, {frames} frames ahead", start=start,

@@ -75,6 +75,13 @@ class Kernels:
     past: Past
     reset: Tensor  # [B, 1, H, W] as the network said; `heads` give way to turns and to what is outdated as well
 
+    @property
+    def trust(self) -> Tensor:
+        """How far to trust pictures that know history, `[B, 1, H, W]` in [0, 1]: not at all where the network resets
+        it; half where only `Past.stays` says that it gives way, as there the kernels' light has given way already; and
+        wholly where no history is held."""
+        return 1 - self.past.held * (1 - (1 - self.reset) * (1 + self.past.stays) / 2)
+
 
 class AccumulatedKPN(nn.Module):
     """The network and its one-frame step, a `models.Denoiser`."""
@@ -158,7 +165,10 @@ class AccumulatedKPN(nn.Module):
             reset = reset_of_footprint(self.config, frame, past, said.reset, heads.reset)
             seen, count = footprint(frame, past, reset)
             after = replace(after, footprint=seen, footprint_count=count)
-        return output, after, Kernels(heads, past, said.reset)
+        kernels = Kernels(heads, past, said.reset)
+        if known.waits:
+            after = replace(after, trusted=(past.held * kernels.trust).detach())
+        return output, after, kernels
 
     def over_space(self, mean: Tensor, heads: Heads) -> Tensor:
         """Light `[B, C, H, W]` filtered by the spatial kernels: linear in it."""

@@ -53,9 +53,7 @@ class Hybrid(AccumulatedKPN):
         with torch.no_grad():
             # Filter by kernels, and average.
             image, after, kernels = super().step_and_kernels(frame, history, replace(known, sanitised=True))
-            past = kernels.past
-            held, stays = past.on_screen & ~past.uncovered, past.stays
-            trust = trusted(held, kernels.reset, stays)
+            past, held, trust = kernels.past, kernels.past.held, kernels.trust
             if self.needs_history and frame.wide_filter:
                 trust = trust * (greatest_around(after.footprint_count) - 1).clamp(0, 1)
 
@@ -64,7 +62,7 @@ class Hybrid(AccumulatedKPN):
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 noisy = (known.noise / EVENED_NOISE).clamp(max=1)
-                radiance = evened(radiance, after.footprint_count, image, trust * noisy * stays)
+                radiance = evened(radiance, after.footprint_count, image, trust * noisy * past.stays)
             held, tells = held_and_tells(held, image.dtype)
         pixels = written(
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest
@@ -81,9 +79,3 @@ class Hybrid(AccumulatedKPN):
             after = replace(after, footprint=None, footprint_count=None)
         return shown, after, kernels
 
-
-def trusted(held: Tensor, reset: Tensor, stays: Tensor) -> Tensor:
-    """How far to trust pictures that know history, `[B, 1, H, W]` in [0, 1]: not at all where the network resets it;
-    half where only `Past.stays` says that it gives way, as there the kernels' light has given way already; and wholly
-    where no history is `held`."""
-    return 1 - held * (1 - (1 - reset) * (1 + stays) / 2)

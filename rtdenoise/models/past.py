@@ -50,6 +50,11 @@ class Past:
     later: History | None = None  # what the frames after know (`later`)
 
     @property
+    def held(self) -> Tensor:
+        """Pixels with a history: where the previous output shows them, `[B, 1, H, W]` bool."""
+        return self.on_screen & ~self.uncovered
+
+    @property
     def stays(self) -> Tensor:
         """The share that is not `turned` or `outdated`, `[B, 1, H, W]`; 1 where `uncovered`, as nothing is held."""
         left = torch.ones_like(self.length)

@@ -30,6 +30,10 @@ class Backend(Protocol):
     def ran(self) -> dict[str, str]:
         """Its name, device and precision."""
 
+    @property
+    def settles(self) -> bool:
+        """Whether a picture is finished by that of the next frame of its shot (`settled`), of those that look ahead."""
+
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         """Follow the plan (`plan.make_plan`) from now on; `left_out` counts the frames that leave work out."""
 
@@ -44,6 +48,10 @@ class Backend(Protocol):
 
     def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Any, Any]:
         """`step` with the image where the backend has it: a tensor on its device, or a numpy array."""
+
+    def settled(self, frame: Frame, after: Any, following: Frame, after_following: Any, brighter: Any = 1.0) -> Any:
+        """The image of a frame once the next one of its shot is denoised, too, as `denoise` returns it, where the
+        backend `settles`. `after`: the history that `frame` left; `brighter`: as for `models.settled.settled`."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         """A history as `frame.History.layers` names its fields, `[1, C, h, w]`: the same for every backend. Of recent

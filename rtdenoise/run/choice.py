@@ -12,7 +12,7 @@ from ..data.sequences import Sequence
 from ..models.hybrid_config import HybridConfig
 from ..models.weights import read_config
 from .lens_motion import with_lens_if_lacking
-from .options import AHEAD, AUTO, FEW_AHEAD, MIXED, Options
+from .options import AHEAD, AUTO, FEW_AHEAD, MANY_AHEAD, MIXED, Options
 from .panorama import with_panorama
 from .surfaces import with_surfaces
 
@@ -93,7 +93,9 @@ def _ahead(options: Options) -> int:
     config = read_config(options.model)
     if not isinstance(config, HybridConfig):
         return 0
-    return FEW_AHEAD if config.many or options.lights or options.also else AHEAD
+    if options.lights or options.also:
+        return FEW_AHEAD
+    return MANY_AHEAD if config.many else AHEAD
 
 
 def _reason(options: Options) -> str:

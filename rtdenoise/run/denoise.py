@@ -27,6 +27,7 @@ from .coming import Reader
 from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
 from .following import Following
 from .in_parts import in_parts
+from .lookahead import direct
 from .offline_picture import Picture
 from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check, of_output, told_of_shutter
 from .shadows import LEFT, find_shadows, open_shadows
@@ -170,24 +171,42 @@ def _run(
 
     spent, watch, due = summary.seconds, Watch(summary.notes), Due(sequence.size)
     last = len(sequence) - reach - 1  # no frame that is appended changes this one and those before
-    with Reader(frame, sequence.numbers, backend, reach, options.detect_cuts) as reader, Behind(finished) as behind:
+
+    def hand_over(i: int, raw: Frame, image: Any, history: Any) -> None:
+        """Let a frame be finished while the next one is denoised."""
+        behind.wait()
+        save = so_far = None
+        if i <= last and due.now(i == last):
+            state, mark, so_far = backend.save(history), fingerprints[i + 1 + reach], deepcopy(summary)
+            save = partial(save_state, out / STATE, state, i + 1, mark, options=options)
+        behind.start(partial(finish, i, raw, image, so_far, save))
+
+    on, detects = direct(backend, reach), options.detect_cuts
+    with Reader(frame, sequence.numbers, backend, on, detects) as reader, Behind(finished) as behind:
+        waits = None  # the frame before, and its image, where this frame's settles it
         for i in range(done, len(sequence)):
             this, ahead = reader.take(i, history)
+            started = time.perf_counter()
+            image, after = backend.step(this.prepared, history if this.goes_on else None, ahead)
+            if waits and this.goes_on:
+                settled = backend.settled(waits[0].prepared, history, this.prepared, after)
+                waits = waits[0], settled.cpu().numpy()
+            spent += time.perf_counter() - started
+            if waits:
+                hand_over(i - 1, waits[0].raw, waits[1], history)
+            history = after
             add(summary.replaced, this.faults)
             watch.see(this.raw, this.goes_on)
             if this.cut:
                 summary.cuts.append(this.raw.number)
-            started = time.perf_counter()
-            image, history = backend.step(this.prepared, history if this.goes_on else None, ahead)
-            spent += time.perf_counter() - started
             summary.seconds = spent + reader.seconds
             summary.exposure[i:] = [backend.gain(history)]
-            behind.wait()
-            save = so_far = None
-            if i <= last and due.now(i == last):
-                state, mark, so_far = backend.save(history), fingerprints[i + 1 + reach], deepcopy(summary)
-                save = partial(save_state, out / STATE, state, i + 1, mark, options=options)
-            behind.start(partial(finish, i, this.raw, image, so_far, save))
+            if backend.settles:
+                waits = this, image
+            else:
+                hand_over(i, this.raw, image, history)
+        if waits:
+            hand_over(i, waits[0].raw, waits[1], history)
     if reach and done < len(sequence):
         finish_state(out / STATE, fingerprints[-1], summary, written.digest)
     watch.end(len(sequence), len(summary.cuts))

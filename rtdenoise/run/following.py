@@ -71,6 +71,10 @@ class Following:
         return self._inner.config
 
     @property
+    def settles(self) -> bool:
+        return self._inner.settles
+
+    @property
     def ran(self) -> dict[str, str]:
         return self._inner.ran
 
@@ -110,6 +114,12 @@ class Following:
         given = self.enter(frame, history, ahead)
         image, after = self._inner.denoise(given.frame, given.history, given.ahead)
         return given.shown(image), given.left(after)
+
+    def settled(self, frame: Frame, after: Any, following: Frame, after_following: Any) -> Any:
+        if not isinstance(after, Followed):
+            return self._inner.settled(frame, after, following, after_following)
+        gain, next_gain = after.gains[0], after_following.gains[0]
+        return gain * self._inner.settled(frame, after.inner, following, after_following.inner, next_gain / gain)
 
     def gain(self, history: Any) -> float:
         """What the last frame, a single picture, was divided by."""

@@ -30,6 +30,8 @@ class GlslBackend:
         self._precision = "fp16" if precision == "fp16" else "fp32"
         self._left_out: dict[str, int] | None = None  # None: nothing is left out
 
+    settles = False
+
     @property
     def config(self) -> Config:
         return self._pipeline.config

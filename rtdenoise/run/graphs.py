@@ -29,6 +29,7 @@ from ..ops.elsewhere import Elsewhere, NotHere, fill, table
 from .plan import LAYERS
 
 MAX_RECORDINGS = 8  # a sequence has two to five kinds of steps
+UNREAD = "footprint", "trusted"  # fields of a history that no step reads begin so
 IDLE_STEPS = 64  # a recording unused for so many steps makes room; a kind of step seen once is forgotten after as many
 WARM_UP_STEPS = 3  # before a step is captured, as in PyTorch's documentation
 LARGEST = 6_000_000  # pixels of a step that is recorded: kernels of larger ones take longer than to start them
@@ -209,11 +210,11 @@ def _description(name: str, tensor: Tensor) -> Hashable:
 
 
 def _tensors(frame: Frame, history: History | None, known: Known, read: Collection[str]) -> dict[str, Tensor]:
-    """All that a step reads, by name; of the frame the layers `read`. No step reads footprints (`History.footprint`).
-    Inverse: `_arguments`."""
+    """All that a step reads, by name; of the frame the layers `read`, of the history all but `UNREAD`. Inverse:
+    `_arguments`."""
     statistics = {n: t for n in ("exposure", "distance", "noise", "shift") if (t := getattr(known, n)) is not None}
     layers = {n: t for n, t in frame.layers() if n in read}
-    past = {n: t for n, t in history.layers().items() if not n.startswith("footprint")} if history else {}
+    past = {n: t for n, t in history.layers().items() if not n.startswith(UNREAD)} if history else {}
     owners = {"frame": layers, "history": past, "known": statistics}
     for i, other in enumerate(known.ahead):
         owners[f"ahead{i}"] = {n: t for n, t in other.layers() if n in read}

@@ -49,6 +49,8 @@ class LightBackend:
     """A `Backend` around torch's. An image is a dict of `[1, 3, H, W]`: the picture, named `PICTURE`, and the passes; a
     history is `Histories`."""
 
+    settles = False  # passes are to add up to the picture
+
     def __init__(
         self,
         inner: TorchBackend,

@@ -2,20 +2,38 @@
 
 Frames after show what those before cannot: what was just uncovered, and as many samples again. A program in real time
 shows its frames so many later; for frames on disk it costs little (docs/notes/lookahead.md). The network takes their
-light as it takes that of the frames before, along the motion that leads back (`models.past.later`).
+light as it takes that of the frames before, along the motion that leads back (`models.past.later`). The last of them
+counts by the picture of the frame before it: that of the frame after the one to denoise (`models.settled`).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..frame import Frame
-from ..splat import completed
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from .backends import Backend
+
+
+SETTLES_FROM = 3  # frames ahead from which on the last one counts by its picture alone (docs/notes/settled.md)
+
+
+def direct(backend: Backend, delay: int) -> int:
+    """How many of `delay` frames after each one its step is given; the one beyond them settles its picture."""
+    return delay - backend.settles
+
+
+class Stepped(NamedTuple):
+    """A frame that has been denoised."""
+
+    frame: Frame
+    image: Tensor
+    after: Any  # the history
 
 
 @dataclass(frozen=True)
@@ -23,26 +41,32 @@ class Lookahead:
     """A step that looks `delay` frames ahead, as `evaluate.sequence` takes it: the image of a frame comes so many
     frames later, and at the end of a shot for None."""
 
-    inner: Callable[[Frame, Any, tuple[Frame, ...]], tuple[Tensor, Any]]  # of frame, history and the frames after
+    backend: Backend
     delay: int
 
     def step(self, frame: Frame | None, history: Any = None) -> tuple[Tensor | None, Any]:
         """The image of the frame `delay` before; None for the first frames of a shot. The history holds the frames that
-        wait for theirs. Frames are sanitised."""
-        waiting, before = history or ((), None)
+        wait for theirs, and the last one that has been denoised. Frames are prepared."""
+        waiting, last = history or ((), None)
         if frame is not None:
             waiting = linked((*waiting, frame))
-            if len(waiting) <= self.delay:
-                return None, (waiting, before)
-        first, *following = waiting
-        image, after = self.inner(first, before, tuple(following))
-        return image, (tuple(following), after)
+        while waiting and (frame is None or len(waiting) > direct(self.backend, self.delay)):
+            (first, *following), before = waiting, last
+            image, after = self.backend.denoise(first, before and before.after, tuple(following))
+            waiting, last = tuple(following), Stepped(first, image, after)
+            if not self.backend.settles:
+                return image, (waiting, last)
+            if before:
+                return self.backend.settled(before.frame, before.after, first, after), (waiting, last)
+        return (last.image, ((), None)) if frame is None else (None, (waiting, last))
 
 
 def linked(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
     """Consecutive frames of a shot, the last one new, with `motion_next` in the one before that."""
     if len(frames) < 2:
         return frames
+    from ..splat import completed
+
     *first, last, new = frames
     return (*first, completed(last, new), new)
 
@@ -50,9 +74,8 @@ def linked(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
 class Delayed:
     """A backend's images, `delay` frames later across shots: one for each frame from there on."""
 
-    def __init__(self, inner: Callable[..., tuple[Tensor, Any]], delay: int) -> None:
-        """`inner`: as that of `Lookahead`."""
-        self._step, self._history = Lookahead(inner, delay), None
+    def __init__(self, backend: Backend, delay: int) -> None:
+        self._backend, self._step, self._history = backend, Lookahead(backend, delay), None
         self._images: deque[Tensor] = deque()  # of frames whose turn has not come
         self._waiting = 0  # frames without an image
 
@@ -71,6 +94,10 @@ class Delayed:
             while self._waiting:
                 image, self._history = self._step.step(None, self._history)
                 self._took(image)
+        except Exception:
+            if self._history and (last := self._history[1]) and self._backend.settles:
+                self._took(last.image)
+            raise
         finally:
             self._waiting, self._history = 0, None
 

@@ -17,7 +17,8 @@ AUTO = "auto"
 EXAMINED = 3  # frames that the plan examines
 MAX_LOOKAHEAD = 16  # frames; beyond 8 little is gained
 AHEAD = 6  # frames, with 'auto' (docs/notes/lookahead.md)
-FEW_AHEAD = 2  # likewise of many samples a pixel, and of light in parts, whose frames are larger
+MANY_AHEAD = 3  # likewise of many samples a pixel
+FEW_AHEAD = 2  # likewise of light in parts, whose frames are larger
 MAX_SAMPLES = 1_000_000  # a pixel; more is a slip
 MAX_SHUTTER = 100.0  # frames; more is a slip
 POSITIONS = {"start": 0.5, "center": 0.0, "end": -0.5}  # middle of the time that a shutter is open / that time
@@ -100,7 +101,8 @@ class Options:
     the picture; its lights look two frames ahead."""
     lookahead: int | Literal["auto"] = AUTO
     """Denoise each frame with so many of those after it. 'auto': with the networks that write pixels (hybrid and its
-    kind) in torch 6, or 2 with --lights, --also and those for many samples a pixel; 0 with others."""
+    kind) in torch 6, or 3 with those for many samples a pixel, or 2 with --lights and --also; 0 with others. From 3
+    on the last of them counts by the picture of the frame before it, which is mixed in."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0

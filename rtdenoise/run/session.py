@@ -98,7 +98,7 @@ class Denoiser:
         if lookahead:
             from .lookahead import Delayed
 
-            self._delayed = Delayed(self._backend.denoise, lookahead)
+            self._delayed = Delayed(self._backend, lookahead)
         self._forms: deque[Form] = deque()  # of the frames whose picture is yet to come
         self._shape: tuple[int, ...] = ()  # of the frame before
         self._count = 0  # frames so far

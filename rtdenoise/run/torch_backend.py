@@ -14,8 +14,9 @@ import numpy as np
 from ..constants import RECALL_FRAMES, RECALL_FRAMES_OF_PASS, RECALL_RESET
 from ..data.stored import of_resets, with_resets
 from ..errors import InputError
-from ..frame import Frame, Known
+from ..frame import Frame, History, Known
 from ..models.presets import Config
+from .lookahead import SETTLES_FROM
 from .memory import explained
 from .once import Once
 from .plan import Plan, make_plan
@@ -39,8 +40,9 @@ class TorchBackend:
         lookahead: int = 0,
     ) -> None:
         """`footprint`: the histories of a network that averages light have one, for the offline mode, of
-        `RECALL_FRAMES_OF_PASS` frames. `lookahead`: frames that its steps will get `ahead`; networks that keep none
-        then keep `RECALL_FRAMES`, as those of many samples do for a footprint. Raises InputError where one cannot."""
+        `RECALL_FRAMES_OF_PASS` frames. `lookahead`: frames after each one that there will be (`lookahead.direct`);
+        networks that keep none then keep `RECALL_FRAMES`, as those of many samples do for a footprint. Raises
+        InputError where one cannot."""
         import torch
 
         from ..history import advanced
@@ -69,6 +71,7 @@ class TorchBackend:
                 self._denoiser.keeps_footprint = footprint
         self._step = self._whole = stepper(self._denoiser)
         self.waits = lookahead > 0  # `Known.waits`
+        self.settles = lookahead >= SETTLES_FROM and not correct
         self._advanced, self._turning = Once(advanced, lookahead), Once(turning, lookahead)
 
     @property
@@ -120,6 +123,14 @@ class TorchBackend:
             known = Known(sanitised=True, ahead=ahead, turning=turning, waits=self.waits)
             return going_ahead(step, self._advanced)(frame, history, known)
 
+    def settled(
+        self, frame: Frame, after: History, following: Frame, after_following: History, brighter: Tensor | float = 1.0
+    ) -> Tensor:
+        from ..models.settled import settled
+
+        with self._inference(frame):
+            return settled(after, after_following, self._advanced(following, frame), brighter)
+
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned
 
@@ -141,7 +152,7 @@ class TorchBackend:
             return mismatch(frame, history).max().item()
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
-        layers = replace(history, recent=(), footprint=None, footprint_count=None, noisy=None).layers()
+        layers = replace(history, recent=(), footprint=None, footprint_count=None, trusted=None, noisy=None).layers()
         fields = {name: tensor.cpu().contiguous().numpy() for name, tensor in layers.items()}
         resets = (kept[:, RECALL_RESET, None].cpu().contiguous().numpy() for kept in history.recent)
         return fields | of_resets(resets)

@@ -1,0 +1,34 @@
+"""Pictures of steps that wait for frames after theirs, once the picture of the frame after is there, too.
+
+That one has seen nearly the same frames, but each counts in it for another place, and its network saw other noise. So
+their mixture is closer to the truth than either, most where something was just uncovered: a fixed-lag smoother
+(docs/notes/settled.md).
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from ..exposure import exposure
+from ..frame import History
+from ..ops import reproject, warp
+from ..ops.kept import nearer
+from ..ops.settle import settle
+
+
+def settled(after: History, following: History, ahead: Tensor | float = 0.0, brighter: Tensor | float = 1.0) -> Tensor:
+    """The picture of a step, `[B, 3, H, W]`, with that of the step on the next frame of the shot in it. `after`,
+    `following`: the histories that the two left, with `trusted`, and `motion_next` in the first. `ahead`: how far the
+    camera has gone ahead between the two (`history.advance`); `brighter`: what the next frame's light was divided by,
+    over what this one's was.
+
+    The next picture counts where it trusts what it knows of this one: the same surface, in light that has not changed.
+    What a picture shows as it was rendered, as a sky without noise, stays.
+    """
+    image, motion = after.radiance, after.motion_next
+    depth = nearer(after.depth, ahead) if isinstance(ahead, Tensor) and ahead.any() else after.depth
+    here, there = (depth, after.normal), (following.depth, following.normal)
+    alike, _ = reproject(following.trusted, motion, here, there)
+    alike = alike * (image != after.noisy).any(1, keepdim=True)
+    shown = warp(following.radiance * brighter, motion, cubic=True)
+    return settle(image, shown, after.noisy, alike, after.trusted, exposure(image))
