@@ -39,7 +39,20 @@ def test_a_veil_gets_the_surface_behind():
     assert (found.motion_next == -found.motion).all() and (found.normal[:, 2] == 1).all()
     for name in LAYERS:
         assert np.array_equal(getattr(found, name)[..., ~cloth], getattr(frame, name)[..., ~cloth]), "others stay"
-    assert found.radiance is frame.radiance and found.albedo is frame.albedo
+    assert found.radiance is frame.radiance
+
+
+def test_a_pane_has_the_mean_of_its_albedo():
+    """A few samples that it has turned back are dark dots otherwise."""
+    frame, cloth = veiled()
+    frame = replace(frame, albedo=np.where(cloth, np.float32(0.05), np.float32(0.6)) * frame.albedo)
+    found, apart = with_veiled(frame).albedo, [slice(2, -2), slice(4, 28)]  # a surface alone within reach
+    dots = cloth[*apart]
+    assert found[0, :, *apart][:, dots].std() < 0.12 and found[0, :, *apart][:, dots].min() > 0.15
+    assert found[0, :, *apart][:, dots].mean() == pytest.approx(0.6 * 0.6 + 0.4 * 0.05, abs=0.03)
+    assert np.array_equal(found[..., ~cloth], frame.albedo[..., ~cloth]), "others stay"
+    bare = replace(frame, albedo=None)
+    assert with_veiled(bare).albedo is None and (with_veiled(bare).normal[:, 2] == 1).all()
 
 
 def test_a_frame_without_any_is_itself():

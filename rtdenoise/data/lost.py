@@ -20,7 +20,6 @@ SAME_DEPTH = 0.1  # relative
 CHUNK = 1 << 16  # pixels that are looked at together
 
 
-@np.errstate(invalid="ignore")  # broken pixels are compared, and count for nothing
 def with_lost_samples(
     frame: Frame,  # numpy arrays of one picture
 ) -> Frame:
@@ -28,8 +27,15 @@ def with_lost_samples(
     and in the eight pixels around. The frame itself where none was."""
     if (lost := lost_samples(frame)) is None:
         return frame
+    near = np.logical_or.reduce([lost, *shifted(lost, EIGHT, 1)]) & (frame.depth[0, 0] > 0)
+    return with_mean_albedo(frame, near)
+
+
+@np.errstate(invalid="ignore")  # broken pixels are compared, and count for nothing
+def with_mean_albedo(frame: Frame, near: np.ndarray) -> Frame:
+    """The frame with the mean of albedo over the 5×5 pixels around that show the same surface, in the pixels that are
+    `near`, `[H, W]` bool."""
     albedo, depth = np.moveaxis(frame.albedo[0], 0, 2), frame.depth[0, 0]
-    near = np.logical_or.reduce([lost, *shifted(lost, EIGHT, 1)]) & (depth > 0)
     found, rows, columns = albedo.copy(), *np.nonzero(near)
     for start in range(0, len(rows), CHUNK):
         place = rows[start : start + CHUNK], columns[start : start + CHUNK]
