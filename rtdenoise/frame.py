@@ -179,7 +179,7 @@ class History:
     footprint: Tensor | None = None
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     # [B, 1, H, W] in [0, 1]: how far the picture trusts the one before; 0 where it has none. Likewise no step needs it:
-    # it is for `models.settled`, of steps that wait for frames after (`Known.waits`).
+    # it is for `models.settled`.
     trusted: Tensor | None = None
 
     def layers(self) -> dict[str, Tensor]:

@@ -81,7 +81,7 @@ def test_how_many_frames_ahead(shot):
     for options, ahead in (
         ({}, 6), ({"samples": 16}, 3), ({"lookahead": 0}, 0), ({"lookahead": 4}, 4), ({"model": "hybrid"}, 6),
         ({"model": "hybrid-large"}, 6), ({"model": "hybrid", "lookahead": 0}, 0), ({"model": "default"}, 0),
-        ({"model": "hybrid-many"}, 2), ({"lights": True}, 2), ({"also": ("AO",)}, 2),
+        ({"model": "hybrid-many"}, 3), ({"lights": True}, 2), ({"also": ("AO",)}, 2),
         ({"model": "fast", "lookahead": 1}, 1), ({"backend": "glsl"}, 0), ({"correct": True}, 0),
         ({"model": "hybrid", "backend": "glsl"}, 0), ({"model": "hybrid", "offline": True}, 0), ({"offline": True}, 0),
     ):  # fmt: skip

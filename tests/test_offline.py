@@ -4,8 +4,9 @@ import gc
 import shutil
 import sys
 import weakref
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from rtdenoise.models import AccumulatedKPNConfig, HybridConfig, load, read, sav
 from rtdenoise.models.accumulated_kpn import AccumulatedKPN
 from rtdenoise.models.weights import find
 from rtdenoise.run.combination import WEIGHTS, Candidates, combine
+from rtdenoise.run.combined import Beside, Combined, read_combined, write_combined
 from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.offline import ESTIMATES
 from rtdenoise.run.passes import InMemory, Passes
@@ -122,7 +124,7 @@ def test_a_run_killed_before_it_could_note_a_frame(shot, tmp_path, options, monk
         patch.setattr("rtdenoise.run.state.write_history", dies)
         with pytest.raises(Stop):
             denoise(str(shot), out, options)
-    assert (out / NAMES[2]).exists()
+    assert (out / NAMES[3]).exists()
     denoise(str(shot), out, options)
     assert_same(out, tmp_path / "whole")
 
@@ -160,7 +162,7 @@ def test_a_damaged_estimate_is_one_line(shot, tmp_path, options, damage, capsys)
     write_history(path, *DAMAGE[damage](*read_history(path)))
     command = ("denoise", shot, "--out", out, "--model", options.model, "--offline", "--float32")
     line = refused(capsys, *command)
-    assert str(path) in line or "not finite" in line
+    assert str(path.with_suffix("")) in line or "not finite" in line
     assert not list(out.glob("*.exr"))
 
 
@@ -353,7 +355,7 @@ def estimate(image, length, first=False, surfaces=None):
     ones = torch.ones_like(image[:, :1])
     seen = torch.cat([image, torch.full_like(image, 0.5), torch.full_like(image, -0.6)], dim=1)
     counts = length * ones, (length if surfaces is None else surfaces) * ones
-    return Estimate(image, first, seen, *counts)
+    return Estimate(image, first, seen, *counts, ones)
 
 
 def grey(radiance):
@@ -436,7 +438,7 @@ def test_estimates_survive_the_disk(tmp_path, scale):
     found = read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8))
     assert found.first and torch.allclose(found.image, stored.image, rtol=1e-3)
     assert torch.allclose(found.footprint, stored.footprint, rtol=1e-3)
-    for name in ("footprint_count", "surface_count"):
+    for name in ("footprint_count", "surface_count", "trusted"):
         assert torch.equal(getattr(found, name), getattr(stored, name)), name
     halves = sum(array.shape[1] for array in read_history(tmp_path / "e.safetensors")[0].values())
     assert 2 * halves == BYTES_PER_PIXEL
@@ -445,6 +447,38 @@ def test_estimates_survive_the_disk(tmp_path, scale):
 def test_a_black_estimate_survives_too(tmp_path):
     write_estimate(tmp_path / "e.safetensors", estimate(torch.zeros(1, 3, 8, 8), 1.0))
     assert not read_estimate(tmp_path / "e.safetensors", "cpu", (8, 8)).image.any()
+
+
+# --- the pictures beside ----------------------------------------------------------------------------------------------
+
+
+def test_a_picture_takes_those_beside_as_far_as_its_passes_trust_them(model):
+    frames, passes = [completed(*pair) for pair in pairwise(map(sanitise, make_frames(4)))], Passes(model, "cpu")
+    one = torch.ones(1, 1, *frames[1].size)
+    images = [1 + 0.1 * torch.rand_like(frame.radiance) for frame in frames]
+    sides = [Beside(frame, image) for frame, image in zip(frames, images, strict=True)]
+
+    def settled(before, after, sides=(sides[0], sides[2])):
+        return passes.settle(frames[1], Combined(images[1], one, before * one, after * one), *sides)
+
+    alone = images[1]
+    assert torch.equal(settled(1, 1, (None, None)), alone) and torch.equal(settled(0, 0), alone)
+    back, onward, both = settled(1, 0), settled(0, 1), settled(1, 1)
+    assert not torch.equal(back, alone) and not torch.equal(onward, alone)
+    still = (frames[1].motion == 0).all(1, keepdim=True) & (frames[1].motion_next == 0).all(1, keepdim=True)
+    wall = still.expand_as(alone)
+    near = [(image - other)[wall].square().mean() for image in (alone, both) for other in (images[0], images[2])]
+    assert near[2] < 0.8 * near[0] and near[3] < 0.8 * near[1]
+
+
+def test_what_waits_survives_the_disk(tmp_path):
+    given = Combined(*(torch.rand(1, channels, 4, 6) for channels in (3, 1, 1, 1)))
+    write_combined(tmp_path / "c.safetensors", given)
+    found = read_combined(tmp_path / "c.safetensors", "cpu")
+    assert all(torch.equal(getattr(found, field.name), getattr(given, field.name)) for field in fields(Combined))
+    write_history(tmp_path / "c.safetensors", {"radiance": given.image.numpy()}, {})
+    with pytest.raises(InputError, match="damaged, it has no spread"):
+        read_combined(tmp_path / "c.safetensors", "cpu")
 
 
 # --- evaluate ---------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from synthetic import make_frames
 
 from rtdenoise import models
 from rtdenoise.constants import SETTLE_BROAD, SETTLE_BROAD_NEW, SETTLE_FAR
-from rtdenoise.frame import History, Known
+from rtdenoise.frame import History
 from rtdenoise.models.settled import settled
 from rtdenoise.ops.settle import settle
 from rtdenoise.run.lookahead import Lookahead
@@ -105,14 +105,15 @@ def test_a_camera_that_goes_ahead_finds_its_surfaces():
 
 
 @pytest.mark.parametrize("model", ["default", "hybrid"])
-def test_steps_that_wait_tell_how_far_they_trust_history(model):
+def test_steps_tell_how_far_they_trust_history(model):
     network, (first, second) = models.load(model, precision="fp32"), completed_shot(make_frames(2))
     with torch.inference_mode():
-        _, after = network.step(first, None, Known(waits=True))
+        assert network.step(first)[1].trusted is None  # others need not know
+        network.keeps_trust = True
+        _, after = network.step(first)
         assert not after.trusted.any()
-        _, after = network.step(second, after, Known(waits=True))
+        _, after = network.step(second, after)
     assert after.trusted.min() >= 0 and 0.5 < after.trusted.max() <= 1
-    assert network.step(first)[1].trusted is None  # others need not know
 
 
 def test_the_last_of_the_frames_ahead_settles():

@@ -143,7 +143,8 @@ def pictures(frames: list[Frame], name: str, ahead: int, **settings: object) -> 
     """As `denoise --lookahead` has them. `settings`: attributes of the network."""
     network, history, found = load(name, precision="fp32"), None, []
     vars(network).update(settings)
-    step, settles = going_ahead(network.step), ahead >= SETTLES_FROM
+    network.keeps_trust = settles = ahead >= SETTLES_FROM
+    step = going_ahead(network.step)
     frames = completed_shot(frames)
     for i, frame in enumerate(frames):
         known = Known(ahead=tuple(frames[i + 1 : i + 1 + ahead - settles]), waits=ahead > 0)

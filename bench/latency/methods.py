@@ -130,6 +130,7 @@ def stepping(model: torch.nn.Module, frame: Frame, history: History, ahead: int 
 
     def step() -> object:
         new = [turning(*coming[-2:])] if len(coming) > 1 else []
+        model.keeps_trust = settles
         image, after = model.step(frame, history, Known(ahead=coming, turning=(*known, *new), waits=ahead > 0))
         return finished(after, after) if settles else image
 

@@ -22,7 +22,7 @@ CHANNELS = {  # field of `History` -> channels; hidden features have any number 
 }  # fmt: skip
 OF = "/"  # between the number of a light and the field of its history (`run.light`)
 FOUND = "found"  # the field of shifts, of cells of pixels as `SHIFTS`
-OF_ESTIMATES = {"surface_count": 1}  # fields of the offline mode's estimates that a history lacks
+OF_ESTIMATES = {"surface_count": 1, "spread": 1, "trusted_after": 1}  # of the offline mode's files, not of a history
 BRIGHTNESS, GAINS = "brightness", "gains"  # in the state of a run: `run.following.Followed`
 SEEN = 60_000  # about so many pixels of a frame are compared there
 RESETS = "resets"  # in the place of recent frames, in the state of a run: [1, frames, H, W] int16, bits of bfloat16

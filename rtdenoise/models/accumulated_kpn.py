@@ -91,6 +91,7 @@ class AccumulatedKPN(nn.Module):
     def __init__(self, config: AccumulatedKPNConfig) -> None:
         super().__init__()
         self.config = config
+        self.keeps_trust = False  # in its history (`History.trusted`), for pictures that are settled
         self.stem = ConvRelu(config.features, config.widths[0], 4, stride=2, padding=1)
         self.unet = UNet(config.widths[0], config.widths)
         outputs = [sum(config.channels(scale)) for scale in range(1, config.scales)]
@@ -166,7 +167,7 @@ class AccumulatedKPN(nn.Module):
             seen, count = footprint(frame, past, reset)
             after = replace(after, footprint=seen, footprint_count=count)
         kernels = Kernels(heads, past, said.reset)
-        if known.waits:
+        if self.keeps_trust:
             after = replace(after, trusted=(past.held * kernels.trust).detach())
         return output, after, kernels
 

@@ -23,12 +23,15 @@ def settled(after: History, following: History, ahead: Tensor | float = 0.0, bri
     over what this one's was.
 
     The next picture counts where it trusts what it knows of this one: the same surface, in light that has not changed.
-    What a picture shows as it was rendered, as a sky without noise, stays.
     """
-    image, motion = after.radiance, after.motion_next
     depth = nearer(after.depth, ahead) if isinstance(ahead, Tensor) and ahead.any() else after.depth
-    here, there = (depth, after.normal), (following.depth, following.normal)
+    here, there, motion = (depth, after.normal), (following.depth, following.normal), after.motion_next
     alike, _ = reproject(following.trusted, motion, here, there)
-    alike = alike * (image != after.noisy).any(1, keepdim=True)
-    shown = warp(following.radiance * brighter, motion, cubic=True)
-    return settle(image, shown, after.noisy, alike, after.trusted, exposure(image))
+    return mixed(after.radiance, after.noisy, following.radiance * brighter, motion, alike, after.trusted)
+
+
+def mixed(image: Tensor, noisy: Tensor, beside: Tensor, motion: Tensor, alike: Tensor, trusted: Tensor) -> Tensor:
+    """A picture with that of a frame `beside` it in time, to which `motion` leads; the rest as for `settle`. What a
+    picture shows as it was rendered, as a sky without noise, stays."""
+    alike = alike * (image != noisy).any(1, keepdim=True)
+    return settle(image, warp(beside, motion, cubic=True), noisy, alike, trusted, exposure(image))

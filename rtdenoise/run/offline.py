@@ -1,9 +1,10 @@
 """The best picture for frames on disk: `rtdenoise denoise SEQ --out DIR --offline`.
 
 Two passes over the sequence. The first one runs forward in time and leaves its estimates in a hidden folder inside DIR.
-The second one runs backward, from the last frame to the first; it combines both estimates of each frame (`passes`),
-writes the frame and removes the stored estimate. Two frames and a history are in memory at a time. An interrupted run
-goes on where it stopped, in either pass, to the same result: the first pass's estimates are always read back from disk.
+The second one runs backward, from the last frame to the first; it combines both estimates of each frame (`passes`).
+Once the one before it is combined as well, a frame takes some of the pictures on either side and is written, and what
+was stored of it is removed. Four frames and a history are in memory at a time. An interrupted run goes on where it
+stopped, in either pass, to the same result: what other frames need is always read back from disk.
 
 A shot begins at the first frame, after a gap, and at a cut, which the first pass finds. No pass looks beyond its shot.
 """
@@ -27,6 +28,7 @@ from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import bytes_beside, files_of, find
 from ..sanitise import faults
 from .choice import open_chosen, told_of_samples
+from .combined import Beside, read_combined, write_combined
 from .folder import (
     Written,
     are_finished,
@@ -51,7 +53,7 @@ if TYPE_CHECKING:
     from .passes import Passes
 
 ESTIMATES = ".rtdenoise-forward"  # folder in the output folder: the first pass's estimates, removed at the end
-OF_ESTIMATE = re.compile(r"\d{6,}\.safetensors")  # names in it
+OF_ESTIMATE = re.compile(r"\d{6,}(-combined)?\.safetensors")  # names in it
 
 
 def denoise_offline(
@@ -111,8 +113,8 @@ class _Run:
         self.names = output_names(self.sequence, self.options.layout, self.options.recombine)[::-1]  # as they appear
         count = len(self.sequence)
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
-        self.summary, self.written = summary, Written(self.out, self.names[: max(0, done - count)])
-        summary.skipped, summary.gaps, summary.notes = max(0, done - count), list(self.sequence.gaps), self._notes()
+        self.summary, self.written = summary, Written(self.out, self.names[: self._written(done)])
+        summary.skipped, summary.gaps, summary.notes = self._written(done), list(self.sequence.gaps), self._notes()
         summary.ran, self.watch = self.backend.ran, Watch(summary.notes)
         refuse_no_folder(self.estimates)
         if not done:
@@ -133,13 +135,17 @@ class _Run:
             if step < count:
                 history = self._forward(step, history)
             else:
-                history = self._backward(2 * count - 1 - step, history if step > count else None)
-                self.written.add(self.names[step - count])
-                summary.written += 1
+                i = 2 * count - 1 - step
+                history = self._backward(i, history if step > count else None)
+                for k in range(self._written(step), self._written(step + 1)):
+                    self._finish(count - 1 - k)
+                    self.written.add(self.names[k])
+                    summary.written += 1
             summary.seconds += time.perf_counter() - started
             self._save(step + 1, history)
             if step >= count:
-                self._path(2 * count - 1 - step).unlink(missing_ok=True)
+                for path in (self._path(i), self._combined(i + 2)):
+                    path.unlink(missing_ok=True)
             self.on_frame(step + 1, 2 * count)
         clear(self.estimates, OF_ESTIMATE.fullmatch)
         self.watch.end(count, len(summary.cuts))
@@ -166,18 +172,32 @@ class _Run:
         return history
 
     def _backward(self, i: int, history: Any) -> Any:
-        """Estimate frame i from the frames after, combine, and write the frame."""
+        """Estimate frame i from the frames after, combine, and store what came of it."""
         if history is not None and not self._linked(i + 1):
             history = None
-        raw, frame = self.sequence.read(i), self._completed(i)
+        frame = self._completed(i)
         backward, history = self.passes.step(reverse(frame), history)
         forward = read_estimate(self._path(i), self.passes.backend.device, self.sequence.read_size)
-        combined, gain = self.passes.combine(frame, forward, backward), self.summary.exposure[i]
-        extra = {"confidence": combined.spread.cpu().numpy() * gain} if self.options.confidence else {}
-        image = combined.image.cpu().numpy() * gain
+        write_combined(self._combined(i), self.passes.combine(frame, forward, backward))
+        return history
+
+    def _finish(self, i: int) -> None:
+        """Write frame i, with the pictures of the frames beside it in its shot."""
+        raw, frame, gain = self.sequence.read(i), self._completed(i), self.summary.exposure[i]
+        own = read_combined(self._combined(i), self.passes.backend.device)
+        before, after = (self._beside(i, k) for k in (i - 1, i + 1))
+        image = self.passes.settle(frame, own, before, after).cpu().numpy() * gain
+        extra = {"confidence": own.spread.cpu().numpy() * gain} if self.options.confidence else {}
         nans = write_frame(self.out, self.sequence, i, raw, image, **of_output(self.options), extra=extra)
         add(self.summary.passed_on, nans)
-        return history
+
+    def _beside(self, i: int, k: int) -> Beside | None:
+        """Frame k beside frame i; None where there is none in its shot."""
+        if not 0 <= k < len(self.sequence) or not self._linked(max(i, k)):
+            return None
+        gains = self.summary.exposure
+        image = read_combined(self._combined(k), self.passes.backend.device).image * (gains[k] / gains[i])
+        return Beside(self._prepared(k), image)
 
     def _recent(self, done: int) -> list[Frame]:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""
@@ -223,6 +243,14 @@ class _Run:
     def _path(self, i: int) -> Path:
         return self.estimates / f"{i:06d}.safetensors"
 
+    def _combined(self, i: int) -> Path:
+        return self.estimates / f"{i:06d}-combined.safetensors"
+
+    def _written(self, done: int) -> int:
+        """How many frames are written after so many steps: each once that before it is combined."""
+        count = len(self.sequence)
+        return count if done == 2 * count else max(0, done - count - 1)
+
     def _resume(self) -> tuple[int, Any, Summary]:
         """How far an earlier run came: frames done in both passes, the history, and the summary so far."""
         path = self.out / STATE
@@ -235,10 +263,13 @@ class _Run:
         refuse_other(self.out, state, self.options, self.fingerprint)
         count = len(self.sequence)
         waiting = range(done) if done < count else range(2 * count - done)
-        finished = self.names[: max(0, done - count)]
+        finished = self.names[: self._written(done)]
         complete = are_finished(self.out, finished, self.sequence.size, state["written"])
         known = complete and len(summary.exposure) == min(done, count)
-        if not known or not all(self._path(i).exists() for i in waiting):
+        stored = [self._path(i) for i in waiting]
+        if count < done < 2 * count:
+            stored += [self._combined(i) for i in range(len(waiting), min(len(waiting) + 2, count))]
+        if not known or not all(path.exists() for path in stored):
             return 0, None, Summary()
         return done, history, summary
 

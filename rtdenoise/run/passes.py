@@ -12,6 +12,7 @@ is first filtered by itself, which is as noisy everywhere, and that picture stan
     1 - a = clamp(1 - m, 0, 1) · clamp(mean m / EVENED_FROM, 0, 1),    m: frames beside this one; over AROUND² pixels
 
 At edges that move, more frames have seen albedo and normal than light (`covered`); both have an `a` of their own.
+In the end each picture takes some of those of the frames beside it.
 """
 
 from __future__ import annotations
@@ -26,15 +27,20 @@ from torch import Tensor
 from ..baselines.oidn import Oidn, installed
 from ..errors import InputError
 from ..frame import Frame, History, reverse
+from ..history import advanced
 from ..models.accumulated_kpn import AccumulatedKPN
 from ..models.hybrid import Hybrid
+from ..models.settled import mixed
 from ..models.window import box
+from ..ops import reproject
 from ..ops.even_sky import even_sky
 from ..ops.fireflies import without_fireflies
+from ..ops.kept import nearer
 from ..ops.recall import FOOTPRINT
 from ..sanitise import sanitise
 from ..splat import completed_shot
-from .combination import Candidates, Combination, combine
+from .combination import Candidates, combine
+from .combined import Beside, Combined
 from .covered import as_covered
 from .pixel_filter import PixelFilter
 from .sides import Estimate, seen_on_both_sides
@@ -76,17 +82,33 @@ class Passes:
         image, after = self.backend.denoise(frame, history)
         footprint, surface_count = as_covered(frame, history, after)
         seen = footprint, after.footprint_count, surface_count
-        return Estimate(image, history is None, *seen), after
+        return Estimate(image, history is None, *seen, after.trusted), after
 
     @torch.inference_mode()
-    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combination:
-        """The best picture of a prepared frame."""
+    def combine(self, frame: Frame, forward: Estimate, backward: Estimate) -> Combined:
+        """The best picture of a prepared frame by itself."""
         found = combine(self.candidates(frame, forward, backward))
         image = found.image
         if not self.keeps_fireflies:
             known = (forward.footprint_count + backward.footprint_count - 2).clamp(0, 1)  # by the frames beside it
             image = without_fireflies(image, frame.depth, frame.normal, known)
-        return replace(found, image=even_sky(image, frame.radiance, frame.depth))  # it is filtered, too
+        image = even_sky(image, frame.radiance, frame.depth)  # it is filtered, too
+        return Combined(image, found.spread, forward.trusted, backward.trusted)
+
+    @torch.inference_mode()
+    def settle(self, frame: Frame, own: Combined, before: Beside | None, after: Beside | None) -> Tensor:
+        """The picture of a prepared frame with those of the frames beside it in its shot (`models.settled`),
+        `[1, 3, H, W]`."""
+        image, here = own.image, (frame.depth, frame.normal)
+        if after is not None:
+            surface = nearer(frame.depth, advanced(after.frame, frame)), frame.normal
+            _, same = reproject(own.after, frame.motion_next, surface, (after.frame.depth, after.frame.normal))
+            image = mixed(image, frame.radiance, after.image, frame.motion_next, same * own.after, own.before)
+        if before is not None:
+            there = nearer(before.frame.depth, advanced(frame, before.frame)), before.frame.normal
+            _, same = reproject(own.before, frame.motion, here, there)
+            image = mixed(image, frame.radiance, before.image, frame.motion, same * own.before, own.after)
+        return image
 
     def candidates(self, frame: Frame, forward: Estimate, backward: Estimate) -> Candidates:
         """What is known of a prepared frame."""
@@ -141,11 +163,12 @@ class InMemory:
 
     def _backward(self, shot: Shot) -> list[Tensor]:
         frames = completed_shot(shot.frames)
-        images, history = [], None
+        found, history = [], None
         for frame, forward in zip(reversed(frames), reversed(shot.estimates), strict=True):
             backward, history = self._passes.step(reverse(frame), history)
-            images.insert(0, self._passes.combine(frame, forward, backward).image)
-        return images
+            found.insert(0, self._passes.combine(frame, forward, backward))
+        sides = [None, *(Beside(frame, own.image) for frame, own in zip(frames, found, strict=True)), None]
+        return [self._passes.settle(*of) for of in zip(frames, found, sides, sides[2:], strict=False)]
 
 
 @dataclass(frozen=True)

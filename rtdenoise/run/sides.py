@@ -23,6 +23,7 @@ class Estimate:
     footprint: Tensor  # [1, 9, H, W] `covered.as_covered`
     footprint_count: Tensor  # [1, 1, H, W] frames in its radiance
     surface_count: Tensor  # [1, 1, H, W] frames in its albedo and normal
+    trusted: Tensor  # [1, 1, H, W] `History.trusted`
 
 
 def seen_on_both_sides(frame: Frame, forward: Estimate, backward: Estimate) -> tuple[Tensor, Tensor, Tensor]:

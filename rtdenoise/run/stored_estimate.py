@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 LARGEST_HALF = 2.0**14  # light is stored as float16 with its maximum below twice this
 STORED = {"radiance": "image"}  # in a file -> field
-STORED |= {name: name for name in ("footprint", "footprint_count", "surface_count")}
+STORED |= {name: name for name in ("footprint", "footprint_count", "surface_count", "trusted")}
 LIGHT = ("radiance", "footprint")  # the first three channels of each
-BYTES_PER_PIXEL = 28  # 14 halves
+BYTES_PER_PIXEL = 30  # 15 halves
 
 
 def check_disk(out: Path, frames: int, size: tuple[int, int]) -> None:

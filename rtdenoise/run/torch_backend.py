@@ -69,9 +69,11 @@ class TorchBackend:
             self._denoiser.config = replace(config, recent=most, footprint=footprint or config.footprint)
             if isinstance(self._denoiser, Hybrid):
                 self._denoiser.keeps_footprint = footprint
+        self.settles = lookahead >= SETTLES_FROM and not correct
+        if averages:
+            self._denoiser.keeps_trust = self.settles or footprint
         self._step = self._whole = stepper(self._denoiser)
         self.waits = lookahead > 0  # `Known.waits`
-        self.settles = lookahead >= SETTLES_FROM and not correct
         self._advanced, self._turning = Once(advanced, lookahead), Once(turning, lookahead)
 
     @property
