@@ -107,7 +107,7 @@ def faults(frame: Frame) -> dict[str, int]:
         if layer == "radiance":
             found["radiance: firefly"] = _fireflies(np.where(finite, array, 0).clip(0.0, BRIGHTEST))
         if layer == "albedo":
-            found["albedo: too large"] = finite & (array > GREATEST_ALBEDO)
+            found[f"albedo: above {GREATEST_ALBEDO:g}, as of lamps"] = finite & (array > GREATEST_ALBEDO)
         if layer == "normal":
             found["normal: too long"] = finite & (abs(array) > LONGEST_NORMAL)
         if layer == "depth":

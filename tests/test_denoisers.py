@@ -285,7 +285,7 @@ def test_every_fault_is_counted_once_and_gone_after_sanitising():
     )  # fmt: skip
     assert faults(broken) == {
         "radiance: NaN or Inf": 1, "radiance: negative": 1, "radiance: too bright": 1, "radiance: firefly": 2,
-        "albedo: NaN or Inf": 1, "albedo: negative": 1, "albedo: too large": 1, "normal: NaN or Inf": 1,
+        "albedo: NaN or Inf": 1, "albedo: negative": 1, "albedo: above 2, as of lamps": 1, "normal: NaN or Inf": 1,
         "normal: too long": 1, "depth: NaN or negative": 2, "motion: NaN or Inf": 1,
     }  # fmt: skip
     assert faults(sanitise(broken)) == {}

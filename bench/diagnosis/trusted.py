@@ -22,18 +22,18 @@ from bench import DOCS, RESULTS, harness
 import tyro
 
 from bench.harness.ways import compared, table
-from rtdenoise.models import hybrid
+from rtdenoise.models.accumulated_kpn import Kernels
 
 RESULT, PAGES = RESULTS / "trusted.json", (DOCS / "notes" / "turned.md",)
 WAYS = {
-    "not at all": {"trusted": lambda held, reset, stays: 1 - held * (1 - (1 - reset) * stays)},
-    "half": {"trusted": hybrid.trusted},
-    "as the network says": {"trusted": lambda held, reset, stays: 1 - held * reset},
+    "not at all": {"trust": property(lambda its: 1 - its.past.held * (1 - (1 - its.reset) * its.past.stays))},
+    "half": {"trust": Kernels.trust},
+    "as the network says": {"trust": property(lambda its: 1 - its.past.held * its.reset)},
 }
 
 
 def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
-    harness.publish(RESULT, {"rows": compared(shots, hybrid, WAYS)}, digits=4, pages=PAGES, tables=tables)
+    harness.publish(RESULT, {"rows": compared(shots, Kernels, WAYS)}, digits=4, pages=PAGES, tables=tables)
 
 
 def tables(document: dict) -> dict[str, str]:
