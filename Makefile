@@ -24,7 +24,7 @@ demo: $(VENV)/.ready-demo  ## denoise the bundled sequence: errors, times and pi
 	$(VENV)/bin/rtdenoise demo --out demo
 
 test: $(VENV)/.ready-test  ## run all the tests, a file on each core; one that is skipped fails
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m pytest -p no:cacheprovider --no-skips -n auto --dist loadfile
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(VENV)/bin/python -m pytest -p no:cacheprovider --no-skips -n auto --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/.ready-test  ## ruff
 	$(VENV)/bin/ruff check

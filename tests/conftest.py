@@ -37,6 +37,14 @@ def pytest_addoption(parser):
     parser.addoption("--no-skips", action="store_true", help="a skipped test fails (so it does with CI=true)")
 
 
+# The files that take longest, those with few tests among them: the others fill up the time that workers would wait.
+LONG = "stability", "farm", "addon", "assets", "graphed", "journeys_tools", "kills", "wheel", "metropolis", "sanitizers"
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in LONG)
+
+
 def pytest_collection_finish(session):
     """What was imported stays: the garbage collector need not look through it again and again."""
     gc.collect()

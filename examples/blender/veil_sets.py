@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
+from glow_sets import hall
 from sets import ball, box, build, keyframe, lamp_and_sky, material, plain_material
 
 
@@ -43,6 +44,35 @@ def build_veil(scene: bpy.types.Scene, frames: int) -> None:
     wave.height, wave.width, wave.narrowness, wave.speed, wave.time_offset = 0.08, 0.25, 6, 0.04, -200
 
 
+def build_panes(scene: bpy.types.Scene, frames: int) -> None:
+    """Panes of tinted film that slide over each other before a shelf, as in a paper theatre: they do not refract."""
+    hall(scene, frames)
+    bpy.ops.object.light_add(type="AREA", location=(1.0, -1.0, 2.9))
+    bpy.context.object.data.energy, bpy.context.object.data.size = 110, 0.6
+    for n in range(5):
+        look = material(f"jar{n}", (0.2 + 0.12 * n, 0.3, 0.6 - 0.1 * n), (0.7, 0.7, 0.4), 6)
+        box(f"jar{n}", (0.7 * n - 1.5, 2.3, 0.8 + 0.1 * (n % 3)), (0.35, 0.35, 1.6 + 0.2 * (n % 3)), look)
+    for n, colour in enumerate(((1, 0.45, 0.35), (0.4, 0.75, 1), (0.95, 0.9, 0.35), (0.55, 1, 0.55))):
+        pane = box(f"pane{n}", (0, 0, 0), (0.9, 0.01, 1.3), film(f"film{n}", colour))
+        x, y, z, way = 0.9 * n - 1.6, 0.2 - 0.25 * n, 1.3 + 0.15 * (n % 2), 0.055 * (-1) ** n * (frames - 1)
+        keyframe(pane, frames, (x - way, y, z), (x + way, y, z))
+
+
+def film(name: str, colour: tuple[float, float, float]) -> bpy.types.Material:
+    """A material that lets seven samples of eight through, in its colour, and mirrors the rest."""
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    nodes.remove(nodes["Principled BSDF"])
+    clear, dull, both = (nodes.new(f"ShaderNode{kind}") for kind in ("BsdfTransparent", "BsdfGlossy", "MixShader"))
+    clear.inputs["Color"].default_value, dull.inputs["Roughness"].default_value = (*colour, 1), 0.15
+    both.inputs["Fac"].default_value = 0.12
+    links.new(clear.outputs["BSDF"], both.inputs[1])
+    links.new(dull.outputs["BSDF"], both.inputs[2])
+    links.new(both.outputs["Shader"], nodes["Material Output"].inputs["Surface"])
+    return made
+
+
 def build_catcher(scene: bpy.types.Scene, frames: int) -> None:
     """A ball and a ring that slide over a shadow catcher before a transparent film: their shadows lie in alpha."""
     bpy.ops.mesh.primitive_plane_add(size=12)
@@ -61,4 +91,10 @@ def build_catcher(scene: bpy.types.Scene, frames: int) -> None:
     scene.render.film_transparent = True
 
 
-VEIL_SETS = {"mist": build_mist, "fog": build_fog, "veil": build_veil, "catcher": build_catcher}
+VEIL_SETS = {
+    "mist": build_mist,
+    "fog": build_fog,
+    "veil": build_veil,
+    "panes": build_panes,
+    "catcher": build_catcher,
+}
