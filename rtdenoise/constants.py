@@ -115,6 +115,7 @@ MIX_UNCOVERED = 0.2  # likewise the kernels' picture, in pixels that were just u
 MIX_TELLS = 0.5  # in those the noisy frame tells less than so far of the pixel itself
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 EVENED_NOISE = 0.3  # noise (`exposure.noise_level`) from which on that is its share; without noise it is 1
+GLOWS, GLOW_REACH = 1.0, 2  # albedo above which a surface shines by itself; pixels around it whose light stays, too
 
 # A picture and the one after it (`ops.settle`): how much of their difference over 3 × 3 pixels the first takes, and how
 # much of what is finer, where it has a history and where it has none.

@@ -30,6 +30,7 @@ from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.dispatch import use
+from rtdenoise.ops.glow import away_from_glow
 from rtdenoise.ops.lift import lower
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.pixels import demodulate
@@ -501,3 +502,30 @@ def test_its_own_picture_as_history_neither_drifts_nor_glows():
         for frame in make_frames(46, H=48, W=64)[40:]:
             image, history = model.step(replace(frame, radiance=torch.zeros_like(frame.radiance)), history)
         assert image.max() < 1e-3 * frames[-1].reference.mean()
+
+
+def test_what_shines_by_itself_is_not_evened():
+    share = torch.rand(1, 1, 9, 12)
+    albedo = torch.rand(1, 3, 9, 12)
+    assert away_from_glow(share, albedo) is share
+    albedo[0, 1, 4, 0] = 1.5
+    found = away_from_glow(share, albedo)
+    assert (found[..., 2:7, :3] == 0).all() and torch.equal(found[..., 3:], share[..., 3:])
+    assert torch.equal(found[..., :2, :], share[..., :2, :]) and torch.equal(found[..., 7:, :], share[..., 7:, :])
+
+
+def test_a_lamp_keeps_its_light_where_one_frame_has_seen_it(model):
+    """Beside pixels that more have seen: as `test_light_that_one_frame_has_seen_is_evened_with_the_kernels_image`."""
+    first, second = make_frames(2, H=24, W=32)
+    right = torch.arange(32) >= 16
+    second = replace(second, depth=torch.where(right, second.depth / 9, second.depth))
+    lamp = second.albedo.clone()
+    lamp[..., 10:14, 24:28] = 2.0
+    for albedo, keeps in ((second.albedo, False), (lamp, True)):
+        frame, shown = replace(second, albedo=albedo), []
+        with watched(model, shown):
+            _, history = model.step(first)
+            model.step(frame, history)
+        light, inside = shown[1] / scale_of(model, frame), (..., slice(8, 16), slice(22, 30))
+        same = torch.isclose(light[inside], sanitise(frame).radiance[inside], rtol=1e-4, atol=1e-6)
+        assert same.all() == keeps

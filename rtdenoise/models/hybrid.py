@@ -19,6 +19,7 @@ from ..ops.around import greatest_around
 from ..ops.even_sky import even_sky
 from ..ops.evened import evened, held_and_tells
 from ..ops.fireflies import without_fireflies
+from ..ops.glow import away_from_glow
 from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
@@ -62,7 +63,8 @@ class Hybrid(AccumulatedKPN):
             radiance, *guides = shown.split(FOOTPRINT, dim=1)
             if not self.config.many:
                 noisy = (known.noise / EVENED_NOISE).clamp(max=1)
-                radiance = evened(radiance, after.footprint_count, image, trust * noisy * past.stays)
+                share = away_from_glow(trust * noisy * past.stays, frame.albedo)
+                radiance = evened(radiance, after.footprint_count, image, share)
             held, tells = held_and_tells(held, image.dtype)
         pixels = written(
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest
