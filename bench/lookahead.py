@@ -37,10 +37,13 @@ REFERENCE = "oidn"
 METHODS = ("default", "default-ahead6", "hybrid-fast", "hybrid-fast-ahead6", "hybrid", "hybrid-ahead1", "hybrid-ahead2",
            "hybrid-ahead4", "hybrid-ahead6", "hybrid-ahead8", "hybrid-large", "hybrid-large-ahead6")  # fmt: skip
 IN_BYTES = ("hybrid-fast-ahead6", "hybrid-ahead2", "hybrid-ahead6", "hybrid-large-ahead6")
+IN_WINDOWS = ("offline-without-oidn", "offline")  # of large pictures alone, as these take long
+REAL_TIME = ("default", "hybrid-fast", "hybrid", "hybrid-large")  # likewise, in bytes
 METRICS = ("psnr_corrected", "flip", "tpsnr_corrected")
 SHOWN = {"OIDN": "oidn", "hybrid": "hybrid", "six ahead": "hybrid-ahead6"}
-DRAWN = ("standard720", "color"), ("street", "staircase2")  # the sequences that are drawn
-SETS = {"standard720": "windows of 1280×720", "standard": "small pictures"}
+LARGE = "standard720"
+DRAWN = (LARGE, "color"), ("street", "staircase2")  # the sequences that are drawn
+SETS = {LARGE: "windows of 1280×720", "standard": "small pictures"}
 TIMED, AHEAD = ("hybrid",), (0, 1, 2, 4, 6, 8)
 
 
@@ -56,8 +59,9 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     for where, members in sets.items():
         for signal in SIGNALS:
             at = {"metrics": METRICS, "signal": signal}
-            run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *METHODS), **at))
-            document = run(members, OUT / where / signal, EvaluateOptions(IN_BYTES, ("int8",), **at))
+            plain, in_bytes = methods_of(where)
+            run(members, OUT / where / signal, EvaluateOptions((REFERENCE, *plain), **at))
+            document = run(members, OUT / where / signal, EvaluateOptions(in_bytes, ("int8",), **at))
             for name in document.sequences if (where, signal) == DRAWN[0] else ():
                 if name in DRAWN[1]:
                     facts = document.sequences[name]
@@ -69,6 +73,11 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
     with torch.inference_mode():
         times = [times_of("bf16" if resolve("auto", "cpu") == torch.bfloat16 else "fp32")]
     harness.publish(RESULT, {"rows": rows, "times": times}, digits=4, pages=PAGES, tables=tables)
+
+
+def methods_of(where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What is measured on a set in float32, and in bytes."""
+    return ((*METHODS, *IN_WINDOWS), (*REAL_TIME, *IN_BYTES)) if where == LARGE else (METHODS, IN_BYTES)
 
 
 def times_of(precision: str) -> dict:
@@ -114,7 +123,8 @@ def _methods(rows: dict) -> str:
     ]
     for where, shown in SETS.items():
         lines.append(f"| *{shown}* | | | | | | |")
-        for method in (*METHODS, *(f"{name} int8" for name in IN_BYTES)):
+        plain, in_bytes = methods_of(where)
+        for method in (*plain, *(f"{name} int8" for name in in_bytes)):
             pairs = pairs_of(rows, where, method)
             each = [np.mean(leads(pairs_of(rows, where, method, signal))) for signal in SIGNALS]
             frame, uncovered = leads(pairs), leads(pairs, "uncovered")

@@ -2,8 +2,7 @@
 
 python bench/modes.py
 
-Measures nothing: it reads the results of hybrid.py, large.py, offline.py, in windows of 1280×720 of modes that look
-ahead those of lookahead.py, and, on a GPU, of latency_720p.py, and rewrites the table of README.md. Each mode stands at
+Measures nothing: it reads the results of hybrid.py, offline.py, in windows of 1280×720 those of lookahead.py, and, on a GPU, of latency_720p.py, and rewrites the table of README.md. Each mode stands at
 the precision that `auto` takes on a CPU that multiplies bytes, and in windows in float32 where they were measured in
 that alone.
 """
@@ -23,7 +22,7 @@ import numpy as np
 
 RESULT, PAGES = RESULTS / "hybrid.json", (ROOT / "README.md",)
 REFERENCE, INT8 = "oidn", " int8"
-READ = "large", "lookahead", "offline", "latency_720p_cuda"
+READ = "lookahead", "offline", "latency_720p_cuda"
 LARGE = "standard720"  # the windows in what lookahead.py measured
 TIME = {"size": "720p", "precision": "bf16"}  # of what is not in bytes
 
@@ -56,8 +55,8 @@ def main() -> None:
 
 def tables(document: dict) -> dict[str, str]:
     """Section `modes`; `document` is that of hybrid.py, the others are read."""
-    large, ahead, offline, gpu = (harness.read(RESULTS / f"{name}.json") for name in READ)
-    ahead = {"rows": [row for row in ahead["rows"] if row["set"] == LARGE]}
+    large, offline, gpu = (harness.read(RESULTS / f"{name}.json") for name in READ)
+    large = {"rows": [row for row in large["rows"] if row["set"] == LARGE]}
     sequences = {row["sequence"] for row in document["rows"]}
     lines = [
         "| `rtdenoise denoise` with | dB over OIDN | in windows of 1280×720 | where just uncovered | FLIP | time, CPU "
@@ -70,7 +69,7 @@ def tables(document: dict) -> dict[str, str]:
         flip = np.mean([row["frame"]["flip"] / oidn["frame"]["flip"] for row, oidn in small])
         cells = [
             f"{_lead(small, 'frame'):+.2f}",
-            f"{_lead(_windows(ahead if mode.needs == AHEAD else large, mode.method), 'frame'):+.2f}",
+            f"{_lead(_pairs(large, mode.method), 'frame'):+.2f}",
             f"{_lead(small, 'uncovered'):+.2f}", f"{flip:.2f}×", f"{_time(document, small, mode):.2g}×",
             _on_gpu(gpu, mode), mode.needs,
         ]  # fmt: skip
@@ -83,11 +82,6 @@ def _pairs(document: dict, method: str) -> list[tuple[dict, dict]]:
     rows = [row for row in document["rows"] if row.get("spp", 1) == 1]
     oidn = {(row["sequence"], row["signal"]): row for row in rows if row["method"] == REFERENCE}
     return [(row, oidn[row["sequence"], row["signal"]]) for row in rows if row["method"] == method]
-
-
-def _windows(document: dict, method: str) -> list[tuple[dict, dict]]:
-    """As `_pairs`, in float32 where there is nothing in bytes."""
-    return _pairs(document, method) or _pairs(document, method.removesuffix(INT8))
 
 
 def _lead(pairs: list[tuple[dict, dict]], region: str) -> float:
