@@ -2,9 +2,9 @@
 
 python bench/modes.py
 
-Measures nothing: it reads the results of hybrid.py and offline.py, in windows of 1280×720 those of lookahead.py, and, on
-a GPU, of latency_720p.py, and rewrites the table of README.md. Each mode stands at the precision that `auto` takes on a
-CPU that multiplies bytes.
+Measures nothing: it reads the results of hybrid.py and offline.py, in windows of 1280×720 those of lookahead.py, and,
+on a GPU, of latency_720p.py, and rewrites the table of README.md. Each mode stands at the precision that `auto` takes
+on a CPU that multiplies bytes.
 """
 
 from __future__ import annotations

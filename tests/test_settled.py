@@ -7,7 +7,7 @@ import pytest
 import torch
 from synthetic import make_frames
 
-from rtdenoise import models
+from rtdenoise import models, ops
 from rtdenoise.constants import SETTLE_BROAD, SETTLE_BROAD_NEW, SETTLE_FAR
 from rtdenoise.frame import History
 from rtdenoise.models.settled import settled
@@ -87,6 +87,17 @@ def test_greater_differences_count_no_more():
     far = settle(first, 100 * first, 1e6 * first, same, same, torch.ones(1, 1, 1, 1))
     expected = (torch.log(2 * first) + SETTLE_BROAD * SETTLE_FAR).expm1()
     torch.testing.assert_close(far, expected)
+
+
+@pytest.mark.parametrize("choice", ["plain", "fused"])
+@pytest.mark.parametrize("brightness", [0.0, 1e-30, 1e-6, 65504.0, 1e30])
+def test_it_stays_finite_and_between_both_pictures(choice, brightness):
+    first, second, noisy = (brightness * image for image in wall())
+    with ops.use(choice):
+        found = settled(left(first, noisy), left(second))
+    assert found.isfinite().all() and found.min() >= 0
+    spread = 3 * 0.1 * brightness  # blotches spread within 3 × 3 pixels
+    assert (found - first).abs().max() <= (second - first).abs().max() + spread
 
 
 def test_each_frame_is_divided_by_its_own_brightness():
