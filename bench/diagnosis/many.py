@@ -39,7 +39,8 @@ METHODS = {
     "`hybrid-large-many`, single frames, kernels everywhere": lambda frames: before(singles, frames),
     "`hybrid-large-many`, single frames": lambda frames: singles(frames, "hybrid-large-many"),
     "`hybrid-large-many` with `--lookahead 2`, as before": lambda frames: before(pictures, frames, 2),
-    "**`hybrid-large-many` with `--lookahead 2`**": lambda frames: pictures(frames, "hybrid-large-many", 2),
+    "`hybrid-large-many` with `--lookahead 2`": lambda frames: pictures(frames, "hybrid-large-many", 2),
+    "**`hybrid-large-many` with `--lookahead 3`**": lambda frames: pictures(frames, "hybrid-large-many", 3),
 }
 
 
