@@ -167,7 +167,7 @@ def test_bad_pixels_and_pictures_of_few_blocks_say_nothing():
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"lookahead": 2}, {"offline": True}, {"backend": "glsl"}, {"correct": True}],
+    [{}, {"lookahead": 2}, {"lookahead": 3}, {"offline": True}, {"backend": "glsl"}, {"correct": True}],
     ids=lambda options: " ".join(options) or "plain",
 )
 def test_a_fade_is_denoised_as_steady_light(options, tmp_path, weights, recent):
@@ -194,7 +194,7 @@ def test_a_fade_is_denoised_as_steady_light(options, tmp_path, weights, recent):
     assert errors[0] < 0.01 < errors[1], errors
 
 
-@pytest.mark.parametrize("lookahead", [0, 2])
+@pytest.mark.parametrize("lookahead", [0, 2, 3])
 def test_a_fade_goes_on_where_it_was_interrupted(lookahead, tmp_path, recent):
     source = write_sequence(tmp_path / "shot", shot([1.3, 1.0, *FADE[1:5]]))
     assert_goes_on(source, tmp_path, Options(model=str(recent), lookahead=lookahead), 3)
@@ -211,7 +211,7 @@ def test_both_passes_go_on_where_they_were_interrupted(tmp_path, recent):
         assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("lookahead", [0, 2])
+@pytest.mark.parametrize("lookahead", [0, 2, 3])
 def test_a_program_gets_what_denoise_writes(lookahead, tmp_path, recent):
     frames = shot(FADE)
     source = write_sequence(tmp_path / "shot", frames)

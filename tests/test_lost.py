@@ -7,6 +7,7 @@ import OpenEXR
 import pytest
 from test_virtual_motion import SHOT
 
+from rtdenoise.data import lost
 from rtdenoise.data.lost import CHUNK, with_lost_samples
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.frame import Frame
@@ -101,3 +102,15 @@ def test_denoisers_read_frames_so():
     assert np.array_equal(sequence.read(0).albedo, with_lost_samples(plain.read(0)).albedo)
     assert sequence.only({"radiance", "depth"}).read(0).albedo is None
     assert np.array_equal(sequence.only({"radiance", "albedo"}).read(0).albedo, sequence.read(0).albedo)
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_few_and_many_pixels_have_the_same_means(broken):
+    draw = np.random.default_rng(1)
+    albedo, depth = draw.random((3, 13, 17), np.float32), draw.choice(np.float32([0, 1, 1.05, 4]), (13, 17))
+    if broken:
+        albedo[0, 3, 4], albedo[:, 0, 0], depth[5, 6] = np.nan, np.inf, np.nan
+    with np.errstate(invalid="ignore"):
+        one, other = lost._at_places(albedo, depth, np.ones((13, 17), bool)), lost._everywhere(albedo, depth)
+    np.testing.assert_allclose(one, other, rtol=1e-12)
+    assert np.isnan(one).any() == broken

@@ -471,14 +471,42 @@ def test_a_picture_takes_those_beside_as_far_as_its_passes_trust_them(model):
     assert near[2] < 0.8 * near[0] and near[3] < 0.8 * near[1]
 
 
+@pytest.mark.parametrize("name", ["000002", "000003"])
+def test_a_lost_picture_that_waits_starts_the_run_anew(shot, tmp_path, options, name):
+    denoise(str(shot), tmp_path / "whole", options)
+    with pytest.raises(Stop):
+        denoise(str(shot), tmp_path / "out", options, on_frame=stop_after(6))
+    (tmp_path / "out" / ESTIMATES / f"{name}-combined.safetensors").unlink()
+    counted = []
+    denoise(str(shot), tmp_path / "out", options, on_frame=lambda *progress: counted.append(progress))
+    assert counted[0] == (0, 8)
+    assert_same(tmp_path / "out", tmp_path / "whole")
+
+
+@pytest.mark.parametrize("side", [0, 2])
+def test_pictures_beside_are_found_from_a_camera_that_goes_ahead(model, side):
+    """By surfaces that are nearer by a fifth in each frame."""
+    radiance = torch.rand(1, 3, 24, 32)
+    frames = [replace(grey(radiance), depth=torch.full((1, 1, 24, 32), 9.0 - 1.5 * i)) for i in range(3)]
+    normal, zero = torch.tensor([0.0, 0, -1]).view(1, 3, 1, 1).expand_as(radiance), torch.zeros(1, 2, 24, 32)
+    frames = [replace(frame, normal=normal, motion=zero, motion_next=zero) for frame in frames]
+    sides = [Beside(frames[side], radiance + 0.1) if i == side else None for i in (0, 2)]
+    one = torch.ones(1, 1, 24, 32)
+    found = Passes(model, "cpu").settle(frames[1], Combined(radiance + 0.2, one, one, one), *sides)
+    assert (found < radiance + 0.2).all()
+
+
 def test_what_waits_survives_the_disk(tmp_path):
     given = Combined(*(torch.rand(1, channels, 4, 6) for channels in (3, 1, 1, 1)))
     write_combined(tmp_path / "c.safetensors", given)
-    found = read_combined(tmp_path / "c.safetensors", "cpu")
+    found = read_combined(tmp_path / "c.safetensors", "cpu", (4, 6))
     assert all(torch.equal(getattr(found, field.name), getattr(given, field.name)) for field in fields(Combined))
     write_history(tmp_path / "c.safetensors", {"radiance": given.image.numpy()}, {})
-    with pytest.raises(InputError, match="damaged, it has no spread"):
-        read_combined(tmp_path / "c.safetensors", "cpu")
+    with pytest.raises(InputError, match="damaged, spread is not as it was written"):
+        read_combined(tmp_path / "c.safetensors", "cpu", (4, 6))
+    write_combined(tmp_path / "c.safetensors", given)
+    with pytest.raises(InputError, match="damaged, radiance is not as it was written"):
+        read_combined(tmp_path / "c.safetensors", "cpu", (4, 5))
 
 
 # --- evaluate ---------------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ MOST = 1  # of the eight pixels around a lost one that are black, too: more are 
 REACH = 2  # pixels over which albedo is averaged, along either axis
 SAME_DEPTH = 0.1  # relative
 CHUNK = 1 << 16  # pixels that are looked at together
+FEW = 1 / 32  # share of the pixels up to which they are looked at one by one
 
 
 def with_lost_samples(
@@ -35,15 +36,39 @@ def with_lost_samples(
 def with_mean_albedo(frame: Frame, near: np.ndarray) -> Frame:
     """The frame with the mean of albedo over the 5×5 pixels around that show the same surface, in the pixels that are
     `near`, `[H, W]` bool."""
-    albedo, depth = np.moveaxis(frame.albedo[0], 0, 2), frame.depth[0, 0]
-    found, rows, columns = albedo.copy(), *np.nonzero(near)
+    albedo, depth = frame.albedo[0], frame.depth[0, 0]
+    mean = _everywhere(albedo, depth) if near.mean() > FEW else _at_places(albedo, depth, near)
+    found = np.where(near & np.isfinite(mean).all(0), mean, albedo).astype(albedo.dtype)
+    return replace(frame, albedo=found[None])
+
+
+def _at_places(albedo: np.ndarray, depth: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """The means `[3, H, W]` in the pixels that are `near`; NaN where none shows the surface, and in all others."""
+    image, rows, columns = np.moveaxis(albedo, 0, 2), *np.nonzero(near)
+    mean = np.full(image.shape, np.nan)
     for start in range(0, len(rows), CHUNK):
         place = rows[start : start + CHUNK], columns[start : start + CHUNK]
-        there, colours, own = around(depth, place, REACH), around(albedo, place, REACH), depth[place][:, None]
-        same = (np.abs(there - own) <= SAME_DEPTH * np.maximum(there, own)) & np.isfinite(colours).all(2)
-        mean = (colours * same[..., None]).sum(1, where=same[..., None]) / np.maximum(same.sum(1), 1)[:, None]
-        found[place] = np.where(same.any(1)[:, None], mean, albedo[place])
-    return replace(frame, albedo=np.ascontiguousarray(np.moveaxis(found, 2, 0))[None])
+        there, colours, own = around(depth, place, REACH), around(image, place, REACH), depth[place][:, None]
+        same = _same(there, own) & np.isfinite(colours).all(2)
+        mean[place] = colours.sum(1, where=same[..., None]) / np.where(same.any(1), same.sum(1), np.nan)[:, None]
+    return np.moveaxis(mean, 2, 0)
+
+
+def _everywhere(albedo: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """The means in all pixels, which takes less time where many are wanted."""
+    finite = np.isfinite(albedo).all(0)
+    layers = np.concatenate([np.where(finite, albedo, 0), np.where(finite, depth, np.nan)[None]])
+    total, count = np.zeros(albedo.shape), np.zeros(depth.shape)
+    reach = range(-REACH, REACH + 1)
+    for beside in shifted(layers, [(y, x) for y in reach for x in reach], REACH):
+        same = _same(beside[3], depth)
+        total += beside[:3] * same
+        count += same
+    return total / np.where(count > 0, count, np.nan)
+
+
+def _same(there: np.ndarray, own: np.ndarray) -> np.ndarray:
+    return np.abs(there - own) <= SAME_DEPTH * np.maximum(there, own)
 
 
 def lost_samples(frame: Frame) -> np.ndarray | None:

@@ -80,4 +80,3 @@ class Hybrid(AccumulatedKPN):
         if not self.keeps_footprint:
             after = replace(after, footprint=None, footprint_count=None)
         return shown, after, kernels
-

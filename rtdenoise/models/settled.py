@@ -16,18 +16,18 @@ from ..ops.kept import nearer
 from ..ops.settle import settle
 
 
-def settled(after: History, following: History, ahead: Tensor | float = 0.0, brighter: Tensor | float = 1.0) -> Tensor:
+def settled(after: History, following: History, ahead: Tensor | float = 0.0) -> Tensor:
     """The picture of a step, `[B, 3, H, W]`, with that of the step on the next frame of the shot in it. `after`,
-    `following`: the histories that the two left, with `trusted`, and `motion_next` in the first. `ahead`: how far the
-    camera has gone ahead between the two (`history.advance`); `brighter`: what the next frame's light was divided by,
-    over what this one's was.
+    `following`: the histories that the two left, with `trusted`, and `motion_next` in the first; where light changes as
+    a whole, both of frames that were divided by that. `ahead`: how far the camera has gone ahead between the two
+    (`history.advance`).
 
     The next picture counts where it trusts what it knows of this one: the same surface, in light that has not changed.
     """
     depth = nearer(after.depth, ahead) if isinstance(ahead, Tensor) and ahead.any() else after.depth
     here, there, motion = (depth, after.normal), (following.depth, following.normal), after.motion_next
     alike, _ = reproject(following.trusted, motion, here, there)
-    return mixed(after.radiance, after.noisy, following.radiance * brighter, motion, alike, after.trusted)
+    return mixed(after.radiance, after.noisy, following.radiance, motion, alike, after.trusted)
 
 
 def mixed(image: Tensor, noisy: Tensor, beside: Tensor, motion: Tensor, alike: Tensor, trusted: Tensor) -> Tensor:

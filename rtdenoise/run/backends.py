@@ -49,9 +49,9 @@ class Backend(Protocol):
     def denoise(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[Any, Any]:
         """`step` with the image where the backend has it: a tensor on its device, or a numpy array."""
 
-    def settled(self, frame: Frame, after: Any, following: Frame, after_following: Any, brighter: Any = 1.0) -> Any:
-        """The image of a frame once the next one of its shot is denoised, too, as `denoise` returns it, where the
-        backend `settles`. `after`: the history that `frame` left; `brighter`: as for `models.settled.settled`."""
+    def settled(self, frame: Frame, after: Any, following: Frame, after_following: Any) -> Any:
+        """The image of a frame once the next one of its shot is denoised, too, as `denoise` returns it; only where the
+        backend `settles`. `after`, `after_following`: the histories that both left."""
 
     def save(self, history: Any) -> dict[str, np.ndarray]:
         """A history as `frame.History.layers` names its fields, `[1, C, h, w]`: the same for every backend. Of recent

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from ..data.stored import read_history, write_history
 from ..errors import InputError
 from ..frame import Frame
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+BYTES_PER_PIXEL = 24  # of a file
 FIELDS = {"radiance": "image", "spread": "spread", "trusted": "before", "trusted_after": "after"}  # of a file
 
 
@@ -30,7 +34,7 @@ class Beside:
     """A frame beside another in its shot."""
 
     frame: Frame  # prepared
-    image: Tensor  # [1, 3, H, W] its combined picture, as bright as the other frame
+    image: Tensor  # [1, 3, H, W] its combined picture; each frame is divided by its own brightness
 
 
 def write_combined(path: Path, found: Combined) -> None:
@@ -38,9 +42,13 @@ def write_combined(path: Path, found: Combined) -> None:
     write_history(path, {name: getattr(found, field).cpu().numpy() for name, field in FIELDS.items()}, {})
 
 
-def read_combined(path: Path, device: str) -> Combined:
-    """The inverse of `write_combined`. Raises InputError where the file cannot be read."""
+def read_combined(path: Path, device: str, size: tuple[int, int]) -> Combined:
+    """The inverse of `write_combined`, for a frame of this size (height, width). Raises InputError where the file
+    cannot be read, or is not of this frame."""
+    import torch
+
     arrays, _ = read_history(path)
-    if missing := [name for name in FIELDS if name not in arrays]:
-        raise InputError(f"{path}: damaged, it has no {missing[0]}; pass --overwrite to start anew")
+    for name in FIELDS:
+        if name not in arrays or (arrays[name].shape[2:], arrays[name].dtype) != (size, np.float32):
+            raise InputError(f"{path}: damaged, {name} is not as it was written; pass --overwrite to start anew")
     return Combined(**{field: torch.from_numpy(arrays[name]).to(device) for name, field in FIELDS.items()})

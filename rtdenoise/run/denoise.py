@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -172,12 +173,13 @@ def _run(
     spent, watch, due = summary.seconds, Watch(summary.notes), Due(sequence.size)
     last = len(sequence) - reach - 1  # no frame that is appended changes this one and those before
 
-    def hand_over(i: int, raw: Frame, image: Any, history: Any) -> None:
-        """Let a frame be finished while the next one is denoised."""
+    def hand_over(i: int, raw: Frame, image: Any, history: Any, left_out: dict[str, int]) -> None:
+        """Let a frame be finished while the next one is denoised. `left_out`: as in the summary after its step."""
         behind.wait()
         save = so_far = None
         if i <= last and due.now(i == last):
-            state, mark, so_far = backend.save(history), fingerprints[i + 1 + reach], deepcopy(summary)
+            state, mark = backend.save(history), fingerprints[i + 1 + reach]
+            so_far = replace(deepcopy(summary), left_out=left_out)
             save = partial(save_state, out / STATE, state, i + 1, mark, options=options)
         behind.start(partial(finish, i, raw, image, so_far, save))
 
@@ -186,14 +188,14 @@ def _run(
         waits = None  # the frame before, and its image, where this frame's settles it
         for i in range(done, len(sequence)):
             this, ahead = reader.take(i, history)
-            started = time.perf_counter()
+            started, left_out = time.perf_counter(), dict(summary.left_out)
             image, after = backend.step(this.prepared, history if this.goes_on else None, ahead)
             if waits and this.goes_on:
                 settled = backend.settled(waits[0].prepared, history, this.prepared, after)
                 waits = waits[0], settled.cpu().numpy()
             spent += time.perf_counter() - started
             if waits:
-                hand_over(i - 1, waits[0].raw, waits[1], history)
+                hand_over(i - 1, waits[0].raw, waits[1], history, left_out)
             history = after
             add(summary.replaced, this.faults)
             watch.see(this.raw, this.goes_on)
@@ -204,9 +206,9 @@ def _run(
             if backend.settles:
                 waits = this, image
             else:
-                hand_over(i, this.raw, image, history)
+                hand_over(i, this.raw, image, history, dict(summary.left_out))
         if waits:
-            hand_over(i, waits[0].raw, waits[1], history)
+            hand_over(i, waits[0].raw, waits[1], history, dict(summary.left_out))
     if reach and done < len(sequence):
         finish_state(out / STATE, fingerprints[-1], summary, written.digest)
     watch.end(len(sequence), len(summary.cuts))

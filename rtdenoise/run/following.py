@@ -118,8 +118,8 @@ class Following:
     def settled(self, frame: Frame, after: Any, following: Frame, after_following: Any) -> Any:
         if not isinstance(after, Followed):
             return self._inner.settled(frame, after, following, after_following)
-        gain, next_gain = after.gains[0], after_following.gains[0]
-        return gain * self._inner.settled(frame, after.inner, following, after_following.inner, next_gain / gain)
+        # Both pictures are divided by their own gains: as bright as each other.
+        return after.gains[0] * self._inner.settled(frame, after.inner, following, after_following.inner)
 
     def gain(self, history: Any) -> float:
         """What the last frame, a single picture, was divided by."""

@@ -19,6 +19,8 @@ from .plan import Plan, count, look, make_plan
 class GlslBackend:
     """A `backends.Backend` of `rtdenoise.glsl.Pipeline`, on the GPU that OpenGL gives."""
 
+    settles = False  # it looks at no frames ahead
+
     def __init__(self, model: str, device: str, precision: str) -> None:
         from ..glsl import Pipeline
 
@@ -29,8 +31,6 @@ class GlslBackend:
         self._pipeline = Pipeline.load(model, half=precision == "fp16")
         self._precision = "fp16" if precision == "fp16" else "fp32"
         self._left_out: dict[str, int] | None = None  # None: nothing is left out
-
-    settles = False
 
     @property
     def config(self) -> Config:

@@ -66,6 +66,7 @@ class LightBackend:
         self._network = inner.network
         if not isinstance(self._network, AccumulatedKPN):
             raise InputError(f"{told}: goes with --model hybrid, default, many or fast, which average light")
+        self._network.keeps_trust = False
         self._passes, self._picture, self._soft, self._device = passes, picture, soft_edges, inner.device
         self._inner, self._waits = Following(inner, detect_exposure), inner.waits
         self._shadows = shadows

@@ -28,7 +28,7 @@ from ..frame import MAX_CUT_MISMATCH, Frame, reverse
 from ..models.weights import bytes_beside, files_of, find
 from ..sanitise import faults
 from .choice import open_chosen, told_of_samples
-from .combined import Beside, read_combined, write_combined
+from .combined import Beside, Combined, read_combined, write_combined
 from .folder import (
     Written,
     are_finished,
@@ -184,7 +184,7 @@ class _Run:
     def _finish(self, i: int) -> None:
         """Write frame i, with the pictures of the frames beside it in its shot."""
         raw, frame, gain = self.sequence.read(i), self._completed(i), self.summary.exposure[i]
-        own = read_combined(self._combined(i), self.passes.backend.device)
+        own = self._read_combined(i)
         before, after = (self._beside(i, k) for k in (i - 1, i + 1))
         image = self.passes.settle(frame, own, before, after).cpu().numpy() * gain
         extra = {"confidence": own.spread.cpu().numpy() * gain} if self.options.confidence else {}
@@ -195,9 +195,10 @@ class _Run:
         """Frame k beside frame i; None where there is none in its shot."""
         if not 0 <= k < len(self.sequence) or not self._linked(max(i, k)):
             return None
-        gains = self.summary.exposure
-        image = read_combined(self._combined(k), self.passes.backend.device).image * (gains[k] / gains[i])
-        return Beside(self._prepared(k), image)
+        return Beside(self._prepared(k), self._read_combined(k).image)
+
+    def _read_combined(self, i: int) -> Combined:
+        return read_combined(self._combined(i), self.passes.backend.device, self.sequence.read_size)
 
     def _recent(self, done: int) -> list[Frame]:
         """The last frames of the shot that the pass at work has finished, as it saw them, the newest first."""

@@ -99,7 +99,7 @@ class Passes:
     def settle(self, frame: Frame, own: Combined, before: Beside | None, after: Beside | None) -> Tensor:
         """The picture of a prepared frame with those of the frames beside it in its shot (`models.settled`),
         `[1, 3, H, W]`."""
-        image, here = own.image, (frame.depth, frame.normal)
+        image, here = own.image, (frame.depth, frame.normal)  # of the lookups below only counts where they found it
         if after is not None:
             surface = nearer(frame.depth, advanced(after.frame, frame)), frame.normal
             _, same = reproject(own.after, frame.motion_next, surface, (after.frame.depth, after.frame.normal))

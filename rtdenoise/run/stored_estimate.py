@@ -11,6 +11,7 @@ import numpy as np
 
 from ..data.stored import read_history, write_history
 from ..errors import InputError
+from . import combined
 
 if TYPE_CHECKING:
     from .sides import Estimate
@@ -24,7 +25,8 @@ BYTES_PER_PIXEL = 30  # 15 halves
 
 def check_disk(out: Path, frames: int, size: tuple[int, int]) -> None:
     """Raise InputError where the estimates of so many frames of a size (height, width) do not fit into a folder."""
-    needed, free = BYTES_PER_PIXEL * size[0] * size[1] * frames, shutil.disk_usage(out).free
+    most = BYTES_PER_PIXEL * frames + combined.BYTES_PER_PIXEL  # that of a frame comes before its estimate goes
+    needed, free = most * size[0] * size[1], shutil.disk_usage(out).free
     if needed > free:
         raise InputError(f"{out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} GB are "
                          "free; choose another --out or fewer frames at a time")  # fmt: skip

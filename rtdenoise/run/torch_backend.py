@@ -125,13 +125,11 @@ class TorchBackend:
             known = Known(sanitised=True, ahead=ahead, turning=turning, waits=self.waits)
             return going_ahead(step, self._advanced)(frame, history, known)
 
-    def settled(
-        self, frame: Frame, after: History, following: Frame, after_following: History, brighter: Tensor | float = 1.0
-    ) -> Tensor:
+    def settled(self, frame: Frame, after: History, following: Frame, after_following: History) -> Tensor:
         from ..models.settled import settled
 
         with self._inference(frame):
-            return settled(after, after_following, self._advanced(following, frame), brighter)
+            return settled(after, after_following, self._advanced(following, frame))
 
     def plan(self, size: tuple[int, int], frames: int, first: list[Frame], left_out: dict[str, int]) -> Plan:
         from .planned import Planned

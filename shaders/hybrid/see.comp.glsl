@@ -1,7 +1,7 @@
 #version 430
-// The footprint of each pixel with this frame in it (models.past.footprint), the trust in history (models.hybrid.trusted), and how
-// far noise may be evened, as history does not give way (models.past.stays) and nothing shines beside (ops.glow). With ALONE it is
-// what this frame shows. RESET of the network's reset counts for footprints.
+// The footprint of each pixel with this frame in it (models.past.footprint), the trust in history (Kernels.trust of
+// models.accumulated_kpn), and how far noise may be evened, as history does not give way (models.past.stays) and nothing shines
+// beside (ops.glow). With ALONE it is what this frame shows. RESET of the network's reset counts for footprints.
 #pragma constants ALONE GLOWS GLOW_REACH RECALL_SAME RESET
 #include "image.glsl"
 #include "giving_way.glsl"
