@@ -30,7 +30,7 @@ from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.dispatch import use
-from rtdenoise.ops.glow import away_from_glow
+from rtdenoise.ops.glow import away_from_glow, left_by_glow
 from rtdenoise.ops.lift import lower
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.pixels import demodulate
@@ -512,6 +512,21 @@ def test_what_shines_by_itself_is_not_evened():
     found = away_from_glow(share, albedo)
     assert (found[..., 2:7, :3] == 0).all() and torch.equal(found[..., 3:], share[..., 3:])
     assert torch.equal(found[..., :2, :], share[..., :2, :]) and torch.equal(found[..., 7:, :], share[..., 7:, :])
+
+
+def test_a_picture_has_no_say_where_something_that_shone_has_left():
+    """By motion to where it was; a GPU gives the same without looking first whether anything shone."""
+    shown = torch.ones(1, 1, 9, 12, dtype=torch.bool)
+    albedo, before, motion = torch.rand(1, 3, 9, 12), torch.rand(1, 3, 9, 12), torch.zeros(1, 2, 9, 12)
+    assert left_by_glow(shown, albedo, before, motion) is shown
+    before[0, 2, 4, 6], motion[:, 0] = 1.5, -1.0  # seen a pixel to the right now
+    found = left_by_glow(shown, albedo, before, motion)
+    expected = shown.clone()
+    expected[..., 2:7, 5:10] = False
+    assert torch.equal(found, expected)
+    albedo[0, 0, 4, 7] = 2.0  # it is still there
+    assert left_by_glow(shown, albedo, before, motion).all()
+    assert not left_by_glow(~shown, albedo, before, motion).any()
 
 
 def test_a_lamp_keeps_its_light_where_one_frame_has_seen_it(model):

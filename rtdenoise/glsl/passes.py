@@ -122,7 +122,9 @@ class Passes:
         past = self._scratch.image("past", inputs.light.shape[:2])
         buffers = {"chosen": chosen, "light": inputs.light, "guide": inputs.guide}
         buffers |= {"denoised_before": history.denoised, "past": past}
-        dispatch("frame/warp", past.shape[1::-1], buffers, DUAL=int(dual), CUBIC=int(self._accumulates))
+        buffers["mean_albedo_before"] = history.mean_albedo if self._accumulates else history.denoised
+        kinds = {"DUAL": int(dual), "CUBIC": int(self._accumulates), "MEANS": int(self._accumulates)}
+        dispatch("frame/warp", past.shape[1::-1], buffers, **kinds)
         return past
 
     def reproject(

@@ -15,6 +15,7 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
 from ..ops.agrees import agrees
+from ..ops.glow import left_by_glow
 from ..ops.keep import keep
 from ..ops.off_pixel import off_pixel
 from ..ops.outdated import flashed, outdated
@@ -121,7 +122,7 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
     turn = _turn(frame, albedo, normal, found, known.still)
     old = _outdated(found, agree, history.recent, turn)
     output = history.radiance if known.still else warp(history.radiance, motion, seen, frame.radiance, cubic=True)
-    shown = old < OUTDATED_PICTURE
+    shown = left_by_glow(old < OUTDATED_PICTURE, frame.albedo, history.mean_albedo, motion)
     if known.waits and len(history.recent) > 1:  # in a strobe frames agree, but for those beside
         newest = recall(noisy, motion, here, history.recent[:1]).count
         shown &= (1 - turn) * flashed(found, newest) < OUTDATED_PICTURE

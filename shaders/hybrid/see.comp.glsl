@@ -2,11 +2,12 @@
 // The footprint of each pixel with this frame in it (models.past.footprint), the trust in history (Kernels.trust of
 // models.accumulated_kpn), and how far noise may be evened, as history does not give way (models.past.stays) and nothing shines
 // beside (ops.glow). With ALONE it is what this frame shows. RESET of the network's reset counts for footprints.
-#pragma constants ALONE GLOWS GLOW_REACH RECALL_SAME RESET
+#pragma constants ALONE RECALL_SAME RESET
 #include "image.glsl"
 #include "giving_way.glsl"
 #include "albedo.glsl"
 #include "past.glsl"
+#include "glow.glsl"
 
 #pragma reads vec4 light, vec4 guide, vec4 surface  // [H, W]
 #pragma reads vec4 past                             // [H, W] rgb, flags
@@ -18,13 +19,7 @@ vec3 mean(vec3 before, vec3 now, float weight) {
     return mix(mix(before, now, lessThanEqual(abs(before - now), RECALL_SAME * abs(now))), now, weight);
 }
 
-// Whether a surface shines by itself here or within GLOW_REACH pixels.
-bool beside_glow(ivec2 pixel) {
-    for (int y = max(0, pixel.y - GLOW_REACH); y <= min(size.y - 1, pixel.y + GLOW_REACH); y++)
-        for (int x = max(0, pixel.x - GLOW_REACH); x <= min(size.x - 1, pixel.x + GLOW_REACH); x++)
-            if (any(greaterThan(guide[y * size.x + x].rgb, vec3(GLOWS)))) return true;
-    return false;
-}
+GLOW(glows, guide)
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -38,7 +33,7 @@ void main() {
         weight += giving_way(RESET * reset[i], pixel) * (1.0 - weight);
         if (!is_uncovered(past[i])) stays -= giving_way(0.0, pixel);
         if (has_history(past[i])) trust = (1.0 - reset[i]) * 0.5 * (1.0 + stays);
-        if (beside_glow(pixel)) stays = 0.0;
+        if (glows(pixel)) stays = 0.0;
         rgb = mean(seen[i].rgb, rgb, weight);
         albedo = mean(seen[i + plane].rgb, albedo, weight);
         normal = mean(seen[i + 2 * plane].xyz, normal, weight);
