@@ -1,5 +1,5 @@
-// Surfaces that shine by themselves (ops.glow): GLOW(name, albedo) defines name(pixel), which tells whether one is within GLOW_REACH
-// pixels, by the buffer `albedo` [H, W].
+// Surfaces that shine by themselves (ops.glow): GLOW(name, albedo) defines name(pixel), which tells whether one is within
+// GLOW_REACH pixels, by the buffer `albedo` [H, W].
 #pragma constants GLOWS GLOW_REACH
 
 #define GLOW(name, albedo)                                                                                             \
