@@ -3,7 +3,7 @@
 Frames after show what those before cannot: what was just uncovered, and as many samples again. A program in real time
 shows its frames so many later; for frames on disk it costs little (docs/notes/lookahead.md). The network takes their
 light as it takes that of the frames before, along the motion that leads back (`models.past.later`). The last of them
-counts by the picture of the frame before it: that of the frame after the one to denoise (`models.settled`).
+is not looked up: it has its say in the picture of the next frame, which settles this one (`models.settled`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .backends import Backend
 
 
-SETTLES_FROM = 3  # frames ahead from which on the last one counts by its picture alone (docs/notes/settled.md)
+SETTLES_FROM = 3  # frames ahead from which on the last one settles (docs/notes/settled.md)
 
 
 def direct(backend: Backend, delay: int) -> int:

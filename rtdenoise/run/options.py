@@ -102,7 +102,7 @@ class Options:
     lookahead: int | Literal["auto"] = AUTO
     """Denoise each frame with so many of those after it. 'auto': with the networks that write pixels (hybrid and its
     kind) in torch 6, or 3 with those for many samples a pixel, or 2 with --lights and --also; 0 with others. From 3
-    on the last of them counts by the picture of the frame before it, which is mixed in."""
+    on the last of them counts through the picture of the next frame, which is mixed in."""
     correct: bool = False
     """Correct every frame by what the noisy frames before it agree on: for 4 samples a pixel and more."""
     samples: int = 0
