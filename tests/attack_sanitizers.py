@@ -95,6 +95,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.recall import recall
     from rtdenoise.ops.retextured import retextured
     from rtdenoise.ops.scattered import scattered
+    from rtdenoise.ops.settle import settle
     from rtdenoise.ops.shares import shares
     from rtdenoise.ops.soften import soften
     from rtdenoise.ops.to_bytes import to_bytes
@@ -140,6 +141,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     told = image.abs(), seen.float(), other, share
     for more in ((), told[:2], told, (*told, depth)):
         yield f"mix {len(more)}", mix(*pictures, *more)
+    yield "settle", settle(other, other.flip(3), image.abs(), share, share.flip(3), one)
     yield "block_luminance", block_luminance(image, 8)
     kept = [keep(image, depth, normal, share, _motion(H, W, kind), other) for _ in range(3)]
     yield "keep", keep(image, depth, normal, share, None)
