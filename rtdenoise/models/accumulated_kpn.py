@@ -17,6 +17,7 @@ Read `AccumulatedKPN.step` first.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor, nn
@@ -75,7 +76,7 @@ class Kernels:
     past: Past
     reset: Tensor  # [B, 1, H, W] as the network said; `heads` give way to turns and to what is outdated as well
 
-    @property
+    @cached_property
     def trust(self) -> Tensor:
         """How far to trust pictures that know history, `[B, 1, H, W]` in [0, 1]: not at all where the network resets
         it; half where only `Past.stays` says that it gives way, as there the kernels' light has given way already; and

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -50,12 +51,12 @@ class Past:
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
 
-    @property
+    @cached_property
     def held(self) -> Tensor:
         """Pixels with a history: where the previous output shows them, `[B, 1, H, W]` bool."""
         return self.on_screen & ~self.uncovered
 
-    @property
+    @cached_property
     def stays(self) -> Tensor:
         """The share that is not `turned` or `outdated`, `[B, 1, H, W]`; 1 where `uncovered`, as nothing is held."""
         left = torch.ones_like(self.length)

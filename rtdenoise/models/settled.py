@@ -24,8 +24,8 @@ def settled(after: History, following: History, ahead: Tensor | float = 0.0) -> 
 
     The next picture counts where it trusts what it knows of this one: the same surface, in light that has not changed.
     """
-    depth = nearer(after.depth, ahead) if isinstance(ahead, Tensor) and ahead.any() else after.depth
-    here, there, motion = (depth, after.normal), (following.depth, following.normal), after.motion_next
+    here = nearer(after.depth, ahead), after.normal
+    there, motion = (following.depth, following.normal), after.motion_next
     alike, _ = reproject(following.trusted, motion, here, there)
     return mixed(after.radiance, after.noisy, following.radiance, motion, alike, after.trusted)
 

@@ -65,7 +65,7 @@ def reset_of(kept: Tensor) -> Tensor:
     return _unpacked(kept[:, RECALL_RESET : RECALL_RESET + 1])[:, 1:]
 
 
-def nearer(depth: Tensor, by: Tensor) -> Tensor:
+def nearer(depth: Tensor, by: Tensor | float) -> Tensor:
     """Depth less `by`, of what was hit; what lies behind the camera then is as near as can be."""
     return (depth - by).clamp(min=torch.finfo(depth.dtype).tiny).where(depth > 0, depth)
 

@@ -75,7 +75,7 @@ class Delayed:
     """A backend's images, `delay` frames later across shots: one for each frame from there on."""
 
     def __init__(self, backend: Backend, delay: int) -> None:
-        self._backend, self._step, self._history = backend, Lookahead(backend, delay), None
+        self._step, self._history = Lookahead(backend, delay), None
         self._images: deque[Tensor] = deque()  # of frames whose turn has not come
         self._waiting = 0  # frames without an image
 
@@ -95,7 +95,7 @@ class Delayed:
                 image, self._history = self._step.step(None, self._history)
                 self._took(image)
         except Exception:
-            if self._history and (last := self._history[1]) and self._backend.settles:
+            if self._history and (last := self._history[1]) and self._step.backend.settles:
                 self._took(last.image)
             raise
         finally:

@@ -10,7 +10,8 @@ from torch import Tensor
 from ...constants import MIX_CELL, MIX_DARK, MIX_FAR, MIX_LARGEST, MIX_NOISE, MIX_TELLS, MIX_UNCOVERED
 from .compiler import library, pointer
 
-SUMS = 3  # as in mix.c
+SUMS = 3  # as in told.h
+TOLD = {"CELL": MIX_CELL, "DARK": MIX_DARK, "LARGEST": MIX_LARGEST, "NOISE": MIX_NOISE}  # what it needs
 
 
 def mix(
@@ -31,8 +32,7 @@ def mix(
     threads = torch.get_num_threads()
     cells = first.new_empty(2, -(-H // MIX_CELL), SUMS, -(-W // MIX_CELL))
     space, out = first.new_empty(threads, SUMS + 1, W), torch.empty_like(images[0])
-    constants = {"CELL": MIX_CELL, "DARK": MIX_DARK, "FAR": MIX_FAR, "LARGEST": MIX_LARGEST, "NOISE": MIX_NOISE}
     given = {"BEFORE": int(before is not None), "NOISY": int(noisy is not None)}
-    run = library("mix", TELLS=MIX_TELLS, UNCOVERED=MIX_UNCOVERED, **constants, **given).mix
+    run = library("mix", FAR=MIX_FAR, TELLS=MIX_TELLS, UNCOVERED=MIX_UNCOVERED, **TOLD, **given).mix
     run(*map(pointer, (*images, cells[0], cells[1], space, out)), B, H, W, *map(c_float, shares), threads)
     return out
