@@ -24,6 +24,10 @@ class InputError(ValueError):
         super().__init__(line)
 
 
+class NotFused(RuntimeError):
+    """RTDENOISE_OPS=fused, or `ops.use`, asks for a fused op where only the plain one can run."""
+
+
 class NotCompiled(OSError):
     """A fused op cannot be compiled or loaded here; the plain one takes its place."""
 

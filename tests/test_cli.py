@@ -207,3 +207,12 @@ def test_an_unknown_choice_of_ops_is_one_line(tmp_path):
     found = process("denoise", shot, "--out", tmp_path / "o", env=os.environ | {"RTDENOISE_OPS": "quick"})
     assert found.returncode == 2 and found.stderr.count("\n") == 1
     assert "RTDENOISE_OPS or ops.use: expected one of auto, plain, fused, got 'quick'" in found.stderr
+
+
+def test_an_op_without_a_fused_path_is_one_line(tmp_path):
+    """Those of a denoiser take no pictures in which gradients end, but training does."""
+    clips = write_clips(tmp_path / "clips", [0])
+    command = ("train", "--data", clips, "--out", tmp_path / "run", "--frames", "2", "--size", "16", "--steps", "1")
+    found = process(*command, env=os.environ | {"RTDENOISE_OPS": "fused"})
+    assert found.returncode == 2 and found.stderr.count("\n") == 1, found.stderr
+    assert "no fused path" in found.stderr and "RTDENOISE_OPS=auto" in found.stderr

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from ..errors import INSTALL_TORCH, InputError
+from ..errors import INSTALL_TORCH, InputError, NotFused
 
 INTERRUPTED = "interrupted; run the same command again to go on"
 OUT_OF_MEMORY = (  # how torch, its drivers and the system's loader say it
@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(141)
     except KeyboardInterrupt:
         _stop(130, INTERRUPTED)
-    except InputError as error:
+    except (InputError, NotFused) as error:
         _stop(2, str(error))
     except MemoryError as error:
         _stop(2, _out_of_memory(error))

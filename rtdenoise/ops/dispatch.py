@@ -36,7 +36,7 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from ..errors import InputError, NotCompiled
+from ..errors import InputError, NotCompiled, NotFused
 
 CHOICES = ("auto", "plain", "fused")
 MAX_PIXELS = 2**31 - 1  # of a plane: fused ops number pixels by 32-bit integers
@@ -109,7 +109,7 @@ class Fused:
         """The implementation for these arguments, or None where the plain one has to run. Sequences are joined along
         channels; None is ignored.
 
-        Raises RuntimeError where 'fused' is chosen and the device's implementation does not take the arguments.
+        Raises NotFused where 'fused' is chosen and the device's implementation does not take the arguments.
         """
         if plain() or transformed():
             return None
@@ -124,7 +124,7 @@ class Fused:
             run = _function(folder, self.file, self.name)
             return run if _is_current(device) else functools.partial(_on, device, run)
         if _choice == "fused":
-            raise RuntimeError(f"{self.name}: no fused path: {problem}")
+            raise NotFused(f"{self.name}: no fused path: {problem}; RTDENOISE_OPS=auto runs the plain op there")
         return None
 
 
