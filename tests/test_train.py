@@ -397,9 +397,10 @@ def test_what_does_not_fit_is_refused(config, tmp_path):
         train(replace(config, data=(tmp_path,)))
     with pytest.raises(InputError, match="scenes that are in the training clips too, such as generator 1, seed 0"):
         train(replace(config, val=config.data[0]))
-    with pytest.raises(InputError, match="at least"):
-        train(replace(config, out=tmp_path / "big", size=512))
-    assert not (tmp_path / "big").exists()  # a failed start leaves nothing that its correction would trip over
+    for wrong, expected in (({"size": 512}, "at least"), ({"init": tmp_path / "none"}, "no model")):
+        with pytest.raises(InputError, match=expected):
+            train(replace(config, out=tmp_path / "big", **wrong))
+        assert not (tmp_path / "big").exists()  # a failed start leaves nothing that its correction would trip over
 
 
 def test_clips_that_do_not_fit_are_refused_before_there_is_a_run(config, tmp_path):

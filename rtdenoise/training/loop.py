@@ -54,22 +54,23 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
             raise InputError(f"batch: expected a multiple of the {count} processes, got {config.batch}")
         data = TrainingSet.open(config)
         validation = open_validation(config, data)
-        data.refuse_unfit(config)  # before there is a run
-        out = Path(config.out)
+        data.refuse_unfit(config)
+        trainer = Trainer(config)
+        out = Path(config.out)  # what fails before leaves no folder
         out.mkdir(parents=True, exist_ok=True)
         with lock(out) if rank == 0 else nullcontext():
-            return _train(config, share, data, validation, on_step)
+            return _train(trainer, share, data, validation, on_step)
 
 
 def _train(
-    config: TrainConfig,
+    trainer: Trainer,
     share: tuple[int, int],
     data: TrainingSet,
     validation: ClipDataset | None,
     on_step: OnStep,
 ) -> Path:
-    out, first = Path(config.out), share[0] == 0
-    trainer = Trainer(config)
+    config, first = trainer.config, share[0] == 0
+    out = Path(config.out)
     if first:
         remove_unfinished(out)
         _same_config(config, out / "config.json")
