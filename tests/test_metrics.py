@@ -254,6 +254,18 @@ def test_metrics_of_other_libraries_take_one_image(images):
         assert metric(image.clone().requires_grad_(), reference, 1.0) == metric(image, reference, 1.0)
 
 
+@pytest.mark.parametrize("metric", [psnr, mse, l1, ssim, relmse, smape, flip])
+def test_shapes_that_torch_would_broadcast_are_refused(images, metric):
+    image, reference = images
+    mask = torch.ones(1, 1, 40, 30, dtype=torch.bool)
+    for other in (reference[:, :1], reference[..., :1], reference[0], reference.repeat(2, 1, 1, 1)):
+        with pytest.raises(ValueError, match=r"expected images of one shape \[1, 3, H, W\], got "):
+            metric(image, other, 1.0)
+    for other in (mask[..., :1], mask[0], mask.expand(1, 3, -1, -1)):
+        with pytest.raises(ValueError, match=r"expected a mask \(1, 1, 40, 30\), got "):
+            metric(image, reference, 1.0, other)
+
+
 def test_flip_in_a_mask_and_what_it_does_not_take(images, monkeypatch):
     image, reference = images
     mask = torch.zeros(1, 1, 40, 30, dtype=torch.bool)

@@ -65,6 +65,14 @@ def test_temporal_relmae_of_flat_images():
     assert temporal_relmae((one, one * 3), (one * 0.5, one), 2.0) == pytest.approx(3 / 2.01)
 
 
+@pytest.mark.parametrize("metric", [tpsnr, temporal_relmae])
+def test_pairs_that_torch_would_broadcast_are_refused(metric):
+    image = torch.rand(1, 3, 8, 9)
+    for other in (image[:, :1], image[..., :1], image[0]):
+        with pytest.raises(ValueError, match=r"expected images of one shape \[1, 3, H, W\], got "):
+            metric((image, image), (image, other), 1.0)
+
+
 def test_recent_masks_fill_in_with_the_newest():
     masks = [torch.full((1, 1, 2, 2), float(i)) for i in range(4)]
     assert [[m[0, 0, 0, 0].item() for m in recent_masks(masks, i)] for i in (0, 1, 3)] == [

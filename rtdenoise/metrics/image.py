@@ -1,7 +1,8 @@
 """Errors of one image, over the frame or inside a mask.
 
 Display metrics (PSNR, SSIM, L1, MSE, LDR-FLIP) are taken on the display transform `color.display`, relMSE, SMAPE and
-HDR-FLIP on linear radiance times the same `scale`. All functions share the arguments of `psnr`.
+HDR-FLIP on linear radiance times the same `scale`. All functions share the arguments of `psnr`, and raise ValueError
+for images, or a mask, of other shapes: torch would broadcast them.
 
 A reference of finitely many samples is noisy itself, and MSE counts its noise as error of the image. The difference
 between the two halves of its samples (`reference_half` is the mean of one) estimates that noise; `mse_corrected`
@@ -37,7 +38,8 @@ def psnr(
 
 def mse(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
     """Mean of (a - r)² on the display transform; in [0, 1]."""
-    return masked_mean((display(image, scale) - display(reference, scale)).square(), mask)
+    a, r = displayed(scale, image, reference)
+    return masked_mean((a - r).square(), mask)
 
 
 def mse_corrected(
@@ -78,13 +80,14 @@ def reference_mse(
     et al. 2012), here on the display transform D: mean((D(r₁) - D(r₂))²) / 4. Not included is the bias
     D″ · Var(r) / 2 of the nonlinear D(r), which falls with more samples.
     """
-    first, second = (display(half, scale) for half in (reference_half, 2 * reference - reference_half))
+    first, second = displayed(scale, reference_half, 2 * reference - reference_half)
     return masked_mean((first - second).square(), mask) / 4
 
 
 def l1(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
     """Mean of |a - r| on the display transform; in [0, 1]."""
-    return masked_mean((display(image, scale) - display(reference, scale)).abs(), mask)
+    a, r = displayed(scale, image, reference)
+    return masked_mean((a - r).abs(), mask)
 
 
 def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor | None = None) -> float:
@@ -92,7 +95,7 @@ def ssim(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor |
     frames smaller than the window, and where the window of a pixel in the mask has NaN. Raises ValueError for several
     images.
     """
-    a, b = (_channels_last(display(x, scale)) for x in (image, reference))
+    a, b = map(_channels_last, displayed(scale, image, reference))
     if min(a.shape[:2]) < WINDOW:
         return math.nan
     lost = np.isnan(a) | np.isnan(b)
@@ -115,8 +118,7 @@ def relmse(
     With one half r₁ of the reference's samples the other is r₂ = 2r - r₁, and (a - r)² becomes (a - r₁)(a - r₂): its
     mean is free of the reference's noise. It can be slightly negative for an image as good as its reference.
     """
-    a, r = image * scale, reference * scale
-    half = r if reference_half is None else reference_half * scale
+    a, r, half = exposed(scale, image, reference, reference if reference_half is None else reference_half)
     return masked_mean((a - half) * (a - (2 * r - half)) / (r.square() + 0.01), mask)
 
 
@@ -126,7 +128,7 @@ def smape(image: Tensor, reference: Tensor, scale: Tensor | float, mask: Tensor 
 
     ε = 0.01 (Vogels et al. 2018) keeps black pixels from counting fully.
     """
-    a, r = image * scale, reference * scale
+    a, r = exposed(scale, image, reference)
     return masked_mean((a - r).abs() / (a.abs() + r.abs() + 0.01), mask)
 
 
@@ -156,7 +158,8 @@ def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_ra
         import flip_evaluator
     except ImportError:
         raise InputError("metric flip needs flip-evaluator: pip install 'rtdenoise[bench]'") from None
-    r, a = (display(x, scale) if dynamic_range == "LDR" else (x * scale).clamp(min=0) for x in (reference, image))
+    shown = displayed if dynamic_range == "LDR" else exposed
+    r, a = (x.clamp(min=0) for x in shown(scale, reference, image))
     nothing = torch.full((1, 1, *r.shape[2:]), math.nan)
     if dynamic_range == "HDR" and not (r.isfinite().all() and (luminance(r) > DARKEST).any()):
         return nothing  # FLIP would end the process
@@ -164,6 +167,23 @@ def flip_map(image: Tensor, reference: Tensor, scale: Tensor | float, dynamic_ra
     error, _, _ = flip_evaluator.evaluate(r, a, dynamic_range, applyMagma=False, computeMeanError=False)
     known = torch.from_numpy(~np.isnan(r + a).any(2))
     return torch.from_numpy(np.ascontiguousarray(error)).permute(2, 0, 1)[None].where(known, nothing)
+
+
+def displayed(scale: Tensor | float, *images: Tensor) -> list[Tensor]:
+    """Images of one shape `[B, 3, H, W]`, `color.display`. Raises ValueError for others."""
+    return [display(image, scale) for image in _alike(images)]
+
+
+def exposed(scale: Tensor | float, *images: Tensor) -> list[Tensor]:
+    """Likewise times `scale`."""
+    return [image * scale for image in _alike(images)]
+
+
+def _alike(images: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    if len(shapes := {tuple(image.shape) for image in images}) > 1 or images[0].ndim != 4:
+        found = " and ".join(map(str, sorted(shapes)))
+        raise ValueError(f"expected images of one shape [1, 3, H, W], got {found}")
+    return images
 
 
 def _channels_last(image: Tensor) -> np.ndarray:
@@ -186,8 +206,11 @@ def decibels(mse: float) -> float:
 
 
 def masked_mean(error: Tensor, mask: Tensor | None) -> float:
-    """Mean of `[1, C, H, W]` over the pixels of `mask` `[1, 1, H, W]`, in float64; NaN where it is empty."""
+    """Mean of `[1, C, H, W]` over the pixels of `mask` `[1, 1, H, W]`, in float64; NaN where it is empty. Raises
+    ValueError for a mask of another shape."""
     if mask is None:
         return error.double().mean().item()
+    if mask.shape != error[:, :1].shape:
+        raise ValueError(f"expected a mask {tuple(error[:, :1].shape)}, got {tuple(mask.shape)}")
     kept = error.double()[mask.to(error.device).expand_as(error)]
     return kept.mean().item() if kept.numel() else math.nan

@@ -12,7 +12,7 @@ from ..color import display
 from ..errors import InputError
 from ..motion import on_screen
 from ..ops import fetch
-from .image import decibels, decibels_of_estimate, masked_mean
+from .image import decibels, decibels_of_estimate, displayed, exposed, masked_mean
 
 
 def tpsnr(
@@ -28,8 +28,7 @@ def tpsnr(
     at the same pixel, without motion compensation: a constant error costs nothing, flicker does. NaN where the mask is
     empty.
     """
-    difference = _change(images, scale) - _change(references, scale)
-    return decibels(masked_mean(difference.square(), mask))
+    return decibels(masked_mean(_apart(displayed(scale, *images, *references)).square(), mask))
 
 
 def tmse_corrected(
@@ -48,8 +47,8 @@ def tmse_corrected(
     The estimate is noisy and can be 0 or negative: average it over frames before taking a logarithm.
     """
     others = tuple(2 * whole - half for whole, half in zip(references, reference_halves, strict=True))
-    difference = _change(images, scale) - _change(references, scale)
-    noise = _change(reference_halves, scale) - _change(others, scale)
+    difference = _apart(displayed(scale, *images, *references))
+    noise = _apart(displayed(scale, *reference_halves, *others))
     return masked_mean(difference.square(), mask) - masked_mean(noise.square(), mask) / 4
 
 
@@ -75,14 +74,14 @@ def temporal_relmae(
 
     mean(|ΔI - ΔR| / (R_i + 0.01)),    ΔI = I_i - I_{i-1},    ΔR = R_i - R_{i-1}
     """
-    (before, now), (before_r, now_r) = ([x * scale for x in pair] for pair in (images, references))
-    return masked_mean(((now - before) - (now_r - before_r)).abs() / (now_r.abs() + 0.01), mask)
+    shown = exposed(scale, *images, *references)
+    return masked_mean(_apart(shown).abs() / (shown[-1].abs() + 0.01), mask)
 
 
-def _change(pair: tuple[Tensor, Tensor], scale: Tensor | float) -> Tensor:
-    """D(second) - D(first), D the display transform."""
-    before, now = (display(x, scale) for x in pair)
-    return now - before
+def _apart(shown: list[Tensor]) -> Tensor:
+    """ΔI - ΔR of I_{i-1}, I_i, R_{i-1} and R_i."""
+    before, now, before_r, now_r = shown
+    return (now - before) - (now_r - before_r)
 
 
 def recent_masks(masks: Sequence[Tensor], i: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -112,7 +111,8 @@ def ghost_length(
     """
     total, count = torch.zeros(settled + 1, dtype=torch.float64), torch.zeros(settled + 1, dtype=torch.float64)
     for image, reference, age in zip(images, references, ages(motions, masks), strict=True):
-        error = (display(image, scale) - display(reference, scale)).square().mean(1, keepdim=True).double()
+        a, r = displayed(scale, image, reference)
+        error = (a - r).square().mean(1, keepdim=True).double()
         known = age.isfinite()
         index = age[known].clamp(max=settled).long().cpu()
         total.index_add_(0, index, error[known].cpu())
