@@ -282,7 +282,7 @@ def test_steps_are_recorded_on_cuda_unless_the_environment_turns_it_off(monkeypa
     monkeypatch.setenv("RTDENOISE_GRAPHS", "off")
     assert graphed.stepper(on("cuda:0")) == "its own on cuda:0"
     monkeypatch.setenv("RTDENOISE_GRAPHS", "no")
-    with pytest.raises(ValueError, match="RTDENOISE_GRAPHS: expected auto or off, got 'no'"):
+    with pytest.raises(InputError, match="RTDENOISE_GRAPHS: expected auto or off, got 'no'"):
         graphed.stepper(on("cuda:0"))
 
 

@@ -23,6 +23,7 @@ from typing import Protocol, TypeVar
 import torch
 from torch import Tensor, nn
 
+from ..errors import InputError
 from ..frame import NOTHING_KNOWN, RECENT, Frame, History, Known
 from ..history import Step
 from ..ops.elsewhere import Elsewhere, NotHere, fill, table
@@ -70,10 +71,11 @@ class Capture:
 
 
 def stepper(denoiser: nn.Module) -> Step:
-    """The denoiser's `step`: on CUDA recorded (`Graphed`), unless the environment has RTDENOISE_GRAPHS=off."""
+    """The denoiser's `step`: on CUDA recorded (`Graphed`), unless the environment has RTDENOISE_GRAPHS=off. Raises
+    InputError for another value of that."""
     choice = os.environ.get("RTDENOISE_GRAPHS", "auto")
     if choice not in ("auto", "off"):
-        raise ValueError(f"RTDENOISE_GRAPHS: expected auto or off, got {choice!r}")
+        raise InputError(f"RTDENOISE_GRAPHS: expected auto or off, got {choice!r}")
     device = next(denoiser.parameters()).device
     return Graphed(denoiser, Capture(device)).step if device.type == "cuda" and choice == "auto" else denoiser.step
 
