@@ -152,6 +152,19 @@ def test_the_frame_after_a_call_that_fails_starts_anew(frames, monkeypatch, fail
     assert denoiser.started and torch.equal(image, rtdenoise.Denoiser("fast")(color, **features))
 
 
+def test_a_frame_that_fails_leaves_no_plan_of_its_size(frames, monkeypatch):
+    denoiser, planned = rtdenoise.Denoiser("fast"), []
+    real = denoiser._backend.plan
+    monkeypatch.setattr(denoiser._backend, "plan", lambda size, *more: planned.append(size) or real(size, *more))
+    color, features = batches(frames[0])
+    denoiser(color, **features)
+    with monkeypatch.context() as patch, pytest.raises(MemoryError), pytest.warns(UserWarning, match="anew"):
+        patch.setattr(denoiser._backend, "prepare", lambda frame: (_ for _ in ()).throw(MemoryError()))
+        denoiser(color[..., :16, :], **{name: layer[..., :16, :] for name, layer in features.items()})
+    denoiser(color, **features)
+    assert planned == [(24, 32), (16, 32), (24, 32)]
+
+
 def test_tensors_and_batches_come_back_as_they_are(frames, expected, assert_images_close):
     for image, wanted in zip(play(frames, batches), expected, strict=True):
         assert isinstance(image, torch.Tensor) and not image.is_inference() and image.device.type == "cpu"

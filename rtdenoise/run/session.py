@@ -100,7 +100,7 @@ class Denoiser:
 
             self._delayed = Delayed(self._backend, lookahead)
         self._forms: deque[Form] = deque()  # of the frames whose picture is yet to come
-        self._shape: tuple[int, ...] = ()  # of the frame before
+        self._shape: tuple[int, ...] = ()  # of the frame before, for which the plan is
         self._count = 0  # frames so far
         self._said: set[str] = set()
 
@@ -130,7 +130,7 @@ class Denoiser:
         prepared = self._backend.prepare(frame)
         if self._detect_cuts and history is not None and self._backend.mismatch(prepared, history) > MAX_CUT_MISMATCH:
             history = None
-        self.started, self._shape, self._count = history is None, tuple(radiance.shape), self._count + 1
+        self.started, self._count = history is None, self._count + 1
         if self._delayed is None:
             image, self._history = self._backend.denoise(prepared, history)
             return from_planes(image, form)
@@ -175,16 +175,17 @@ class Denoiser:
 
     def _kept(self, frame: Frame, before: Any) -> Any:
         """What this frame may use of the history of the frame before; None where it starts anew."""
-        shape = tuple(frame.radiance.shape)
-        if self._shape != shape:
+        shape, shape_before = tuple(frame.radiance.shape), self._shape
+        if shape != shape_before:
             if self._delayed:
                 self._end_shot()  # by the plan of its size
             self._backend.plan(frame.size, 2, [], {})
+            self._shape = shape
         if before is None:
             return None
-        if self._shape != shape:
+        if shape != shape_before:
             self._say(
-                "size", f"the frame is {list(shape)}, the one before was {list(self._shape)}: history starts anew"
+                "size", f"the frame is {list(shape)}, the one before was {list(shape_before)}: history starts anew"
             )
             return None
         if frame.motion is None:
