@@ -91,6 +91,11 @@ def test_references_in_other_files_and_one_signal(tmp_path, capsys):
     assert torch.equal(first.reference, first.reference_half) and not data.facts(0)["halves"]
     with pytest.raises(InputError, match="has no signal 'indirect'; give --signal color"):
         data.load(0, signal="indirect")
+    again = tmp_path / "noisy", "--out", tmp_path / "clips", *SMALL, "--reference"
+    (tmp_path / "converged").rename(tmp_path / "better")
+    assert "is another clip" in error_of(capsys, *again, tmp_path / "better")  # two renders would be mixed
+    (tmp_path / "better").rename(tmp_path / "converged")
+    assert "is another clip" in error_of(capsys, *again, tmp_path / "converged", "--preset", "native")
     assert "expected a folder for each of 1 shots, got 2" in error_of(
         capsys, tmp_path / "noisy", "--out", tmp_path / "c", "--reference", tmp_path / "a", tmp_path / "b"
     )

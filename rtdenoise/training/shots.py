@@ -27,6 +27,7 @@ from ..sanitise import sanitise
 from ..wording import counted
 
 NEEDED = ("albedo", "normal", "depth", "motion", "motion_next")
+DEFAULTS = {"preset": "auto", "reference": ""}  # facts of a clip, and what they are where a set does not tell
 AT_ONCE = 64  # clips that are cut in one pass over the frames, which bounds memory
 CARD = """# Training clips
 
@@ -86,7 +87,11 @@ def cut_clips(
         taken = sum(window.shot == i for window in clips)
         frames = counted(len(_first(sources).base), "frame")
         say(f"{shots[i]}: {' and '.join(sources)}; {frames}, {counted(taken, 'clip')}")
-    facts = [_facts(window, opened[window.shot], options) | {"spp": spp[window.shot]} for window in clips]
+    folders = [str(folder.resolve()) for folder in references] or [""] * len(shots)
+    facts = [
+        _facts(window, opened[window.shot], options) | {"spp": spp[window.shot], "reference": folders[window.shot]}
+        for window in clips
+    ]
     out.mkdir(parents=True, exist_ok=True)
     with lock(out):
         remove_unfinished(out)
@@ -155,7 +160,7 @@ def _facts(window: ClipPlace, sources: dict[str, Source], options: CutOptions) -
     return {
         "kind": SHOT, "source": str(source.folder.resolve()), "signals": list(sources), "seed": options.seed,
         "first": source.base.numbers[window.first], "frames": options.frames, "size": list(options.size),
-        "window": [window.top, window.left],
+        "window": [window.top, window.left], "preset": options.preset,
     }  # fmt: skip
 
 
@@ -164,7 +169,7 @@ def _is_there(out: Path, number: int, facts: dict) -> bool:
     path = clip_path(out, number)
     if not path.exists():
         return False
-    if facts.items() <= read_facts(path).items():
+    if facts.items() <= (DEFAULTS | read_facts(path)).items():
         return True
     raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
 
