@@ -128,7 +128,8 @@ def test_bad_pixels_do_not_get_into_clips(tmp_path):
 def test_the_card_has_the_command_as_one_types_it(tmp_path, shot, monkeypatch):
     monkeypatch.setattr("sys.argv", ["/somewhere/rtdenoise/__main__.py", "clips", "shot", "--size", "16"])
     cut(tmp_path / "clips", shot)
-    assert "rtdenoise clips shot --size 16" in (tmp_path / "clips" / "DATA.md").read_text()
+    card = (tmp_path / "clips" / "DATA.md").read_text()
+    assert "12 clips of 4 frames, 12×12, cut from 1 shot by `rtdenoise clips shot --size 16`." in card
 
 
 def test_names_that_are_no_text(tmp_path, shot):

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import InputError
+from ..wording import counted
 from .lists import split_names
 from .progress import progress_bar
 
@@ -40,4 +41,5 @@ class Estimates:
             count = write_all(self.folders, methods, signals, on_clip)
         names = " ".join(method.partition("=")[0] for method in methods)  # those of NAME=FILE are in the folder NAME
         learn = "" if methods == Estimates.methods else f" --estimates {names}"
-        print(f"{count} estimates written; train with: rtdenoise train --model combiner --frames 5{learn} --data ...")
+        written = f"{counted(count, 'estimate')} written"
+        print(f"{written}; train with: rtdenoise train --model combiner --frames 5{learn} --data ...")

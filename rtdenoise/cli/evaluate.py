@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..errors import InputError
+from ..wording import counted
 from .lists import split_names
 from .progress import progress_bar
 
@@ -79,4 +80,4 @@ class Evaluate:
                   f"faster: --precision {own} measures that")  # fmt: skip
         if not document.results:
             raise InputError(f"{out}: nothing was measured, for the reasons above")
-        print(f"{out}: {len(document.results)} results; `rtdenoise report {out}` draws them")
+        print(f"{out}: {counted(len(document.results), 'result')}; `rtdenoise report {out}` draws them")

@@ -105,10 +105,11 @@ def _text(card: dict) -> str:
     scenes = {name: count for name, count in card["sources"].items() if name not in (GENERATED, COMPOSED)}
     first, last = card["seeds"]
     lead_in = f" after {card[LEAD_IN]} without references" if card[LEAD_IN] else ""
-    clips = counted(card["clips"], "clip")
+    clips, frames = counted(card["clips"], "clip"), card["frames_per_clip"]
+    frames = counted(frames, "frame") if isinstance(frames, int) else f"{_span(frames)} frames"
     text = f"""# Training clips
 
-{clips} of {_span(card["frames_per_clip"])} frames{lead_in}, {width}×{height}, seeds {first} to {last}.
+{clips} of {frames}{lead_in}, {width}×{height}, seeds {first} to {last}.
 {_scenes(card)}
 Made by `{card["command"]}` in {card["seconds"] / 3600:.1f} CPU-core hours.
 

@@ -31,7 +31,7 @@ DEFAULTS = {"preset": "auto", "reference": ""}  # facts of a clip, and what they
 AT_ONCE = 64  # clips that are cut in one pass over the frames, which bounds memory
 CARD = """# Training clips
 
-{clips} of {frames} frames, {width}×{height}, cut from {shots} shots by `{command}`.
+{clips} of {frames}, {width}×{height}, cut from {shots} by `{command}`.
 
 {lines}
 
@@ -229,8 +229,8 @@ def _describe(out: Path, clips: list[ClipPlace], shots: tuple[str, ...], options
     card = {"clips": len(clips), "frames_per_clip": options.frames, "size": [height, width], "sources": counts,
             "command": command}  # fmt: skip
     text = CARD.format(
-        clips=counted(len(clips), "clip"), frames=options.frames, width=width, height=height, shots=len(shots),
-        command=command,
+        clips=counted(len(clips), "clip"), frames=counted(options.frames, "frame"), width=width, height=height,
+        shots=counted(len(shots), "shot"), command=command,
         lines="\n".join(f"- {shot}: {counted(count, 'clip')}" for shot, count in counts.items()),
     )  # fmt: skip
     write_atomically(out / "dataset.json", dumps(card, indent=2).encode())
