@@ -24,7 +24,7 @@ from bench import harness
 # isort: split
 import numpy as np
 
-from rtdenoise.data.clip_file import clip_path, write_clip
+from rtdenoise.data.clip_file import clip_path, read_facts, write_clip
 from rtdenoise.errors import InputError
 from rtdenoise.render import draw
 from rtdenoise.render.frames import describe_frame, motion_between, samples_of
@@ -84,6 +84,25 @@ def halves(levels: tuple[int, ...], half: int, spp: int) -> int:
     return (levels[-1] + 2 * half - spp) // 2
 
 
+def facts_of(levels: tuple[int, ...], half: int, spp: int, options: ClipOptions) -> dict:
+    """What the options say of every clip at `spp`."""
+    return {
+        "generator": options.generator, "seed": options.seed, "frames": options.frames, "size": list(options.size),
+        "max_depth": options.max_depth, "spp": spp, "reference_spp": 2 * halves(levels, half, spp),
+    }  # fmt: skip
+
+
+def refuse_other_options(out: Path, levels: tuple[int, ...], half: int, options: ClipOptions) -> None:
+    """Raise InputError where a folder holds clips made with other options. One clip of each level is compared."""
+    for spp in levels:
+        for path in sorted((out / f"spp{spp:02d}").glob("clip_*.safetensors"))[:1]:
+            found = read_facts(path)
+            for name, value in facts_of(levels, half, spp, options).items():
+                if found.get(name) != value:
+                    raise InputError(f"{path}: was rendered with {name} = {found.get(name)}, not {value}; choose "
+                                     "another --out or the options of that run")  # fmt: skip
+
+
 def render_scene(
     out: Path, group: int, each: int, levels: tuple[int, ...], half: int, options: ClipOptions, held: bool
 ) -> None:
@@ -111,17 +130,13 @@ def render_scene(
         seeded = replace(options, seed=int(np.random.SeedSequence([options.seed, index]).generate_state(1)[0]))
         numbers = range(window.first, window.first + options.frames)
         frames = [render_levels(stage, n, levels, half, seeded) for n in numbers]
-        told = facts | {
-            "index": index, "generator": options.generator, "seed": options.seed, "frames": options.frames,
-            "size": list(options.size), "max_depth": options.max_depth,
-        }  # fmt: skip
         for spp in levels:
             path = clip_path(out / f"spp{spp:02d}", index)
             path.parent.mkdir(exist_ok=True)
             write_clip(
                 path,
                 [frame[spp] for frame in frames],
-                told | {"spp": spp, "reference_spp": 2 * halves(levels, half, spp)},
+                facts | {"index": index} | facts_of(levels, half, spp, options),
                 ["samples"],
             )
         print(f"clip {index}: {facts['kind']}, {facts.get('place', '')}, {time.time() - clock:.1f} s", flush=True)
@@ -168,12 +183,13 @@ def main(
         raise InputError(f"--levels: expected counts from 1 on in ascending order, got {' '.join(map(str, levels))}")
     if min(half, windows) < 1:
         raise InputError(f"--half, --windows: expected 1 or more, got {half} and {windows}")
-    start_mitsuba(1)
-    out.mkdir(parents=True, exist_ok=True)
     files = find_scenes(scenes, motions, () if held_out else HELD_OUT) if scenes else ()
     if held_out:
         files = tuple(pair for pair in files if Path(pair[0]).parent.name in HELD_OUT)
     options = ClipOptions(count, (size, size), frames, seed, scenes=files, sun=0.3, calm=0.15, assets=str(assets or ""))
+    refuse_other_options(out, levels, half, options)
+    start_mitsuba(1)
+    out.mkdir(parents=True, exist_ok=True)
     for group in range(len(files) if held_out else count // windows):
         if group % shard[1] == shard[0]:
             render_scene(out, group, windows, levels, half, options, held_out)

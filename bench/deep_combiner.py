@@ -58,15 +58,20 @@ def main(
     optimiser = torch.optim.Adam(network.parameters(), lr)
     options = TrainConfig(data, out, model="combiner", set=("evidence=false", "frames=1"), signal="both", frames=1,
                           batch=batch, size=size, steps=steps, seed=seed)  # fmt: skip
+    asked = {"steps": steps, "batch": batch, "size": size, "lr": lr, "softmax": softmax, "seed": seed}
     clips, kept, first = TrainingSet.open(options), out / "checkpoint.pt", 0
     out.mkdir(parents=True, exist_ok=True)
     if kept.exists():
         try:
-            first, weights, state = torch.load(kept, weights_only=True)
+            first, weights, state, before = torch.load(kept, weights_only=True)
+            changed = [name for name, value in asked.items() if before[name] != value]
             network.load_state_dict(weights)
             optimiser.load_state_dict(state)
         except (EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError, UnpicklingError):
             raise InputError(f"{kept}: not a checkpoint of this script; remove it to begin anew") from None
+        if changed:
+            raise InputError(f"{out}: this run was started with {changed[0]} = {before[changed[0]]}, not "
+                             f"{asked[changed[0]]}; use another --out")  # fmt: skip
     mean = None
     for step in range(first, steps):
         for group in optimiser.param_groups:
@@ -82,7 +87,7 @@ def main(
         mean = ratio if mean is None else 0.95 * mean + 0.05 * ratio
         if (step + 1) % KEEP == 0 or step + 1 == steps:
             content = io.BytesIO()
-            torch.save((step + 1, network.state_dict(), optimiser.state_dict()), content)
+            torch.save((step + 1, network.state_dict(), optimiser.state_dict(), asked), content)
             write_atomically(kept, content.getbuffer(), sync=True)
             print(f"step {step + 1}: error over z's {math.exp(mean):.3f}", flush=True)
     network.save(out / "weights.safetensors")

@@ -1,6 +1,7 @@
 """The benchmarks: scripts that start, results that say where they are from, OIDN that may be missing."""
 
 import importlib
+import json
 import os
 import subprocess
 import sys
@@ -8,13 +9,16 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.numpy import load_file, save_file
 from synthetic import make_frames, write_clips
 
 from bench import RESULTS, combine_clips, deep_combiner, harness, tables
 from bench.latency.stages import staged
 from bench.latency.tables import table
 from rtdenoise import models
+from rtdenoise.data.clip_file import clip_path
 from rtdenoise.errors import InputError
+from rtdenoise.render.options import ClipOptions
 
 ROOT = Path(__file__).parent.parent
 SCRIPTS = [
@@ -68,6 +72,25 @@ def test_a_damaged_checkpoint_of_the_deep_combiner_is_one_line(tmp_path):
     (tmp_path / "checkpoint.pt").write_bytes(b"PK")
     with pytest.raises(InputError, match=r"checkpoint\.pt: not a checkpoint"):
         deep_combiner.main((tmp_path,), tmp_path)
+
+
+def test_runs_for_combiners_do_not_go_on_with_other_options(tmp_path):
+    (tmp_path / "clips").mkdir()
+    clip = clip_path(write_clips(tmp_path / "clips" / "spp01", [0]), 0)
+    facts = combine_clips.facts_of((1, 2, 4, 8, 16, 32), 12, 1, ClipOptions(0, (128, 128), 7, 21))
+    save_file(load_file(clip), clip, {"clip": json.dumps(facts)})
+    for other in ({"seed": 3}, {"half": 13}, {"levels": (1, 4)}, {"size": 64}, {"frames": 5}):
+        with pytest.raises(InputError, match=r"clip_000000\.safetensors: was rendered with .* choose another --out"):
+            combine_clips.main(tmp_path / "clips", count=0, **other)
+    data, options = write_clips(tmp_path / "data", [0]), {"steps": 0, "batch": 1, "size": 16}
+    asked = {"steps": 0, "batch": 1, "size": 16, "lr": 3e-4, "softmax": False, "seed": 0}
+    network = deep_combiner.DeepCombiner()
+    kept = 0, network.state_dict(), torch.optim.Adam(network.parameters()).state_dict(), asked
+    torch.save(kept, tmp_path / "checkpoint.pt")
+    deep_combiner.main((data,), tmp_path, **options)
+    for other in ({"lr": 1e-3}, {"softmax": True}, {"steps": 2}):
+        with pytest.raises(InputError, match=f"this run was started with {min(other)} = "):
+            deep_combiner.main((data,), tmp_path, **(options | other))
 
 
 def test_a_published_result_says_where_it_is_from_and_updates_its_pages(tmp_path, monkeypatch):
