@@ -76,6 +76,15 @@ def test_estimates_say_how_to_train_on_them(tmp_path, capsys):
     assert "--frames 5 --estimates noisy accumulate --data" in capsys.readouterr().out
 
 
+def test_lists_without_a_name_are_one_line(tmp_path, capsys):
+    clips, out = write_clips(tmp_path / "clips", [0]), tmp_path / "run"
+    assert "--methods: name at least one" in refused(capsys, "estimates", clips, "--methods")
+    assert "data: name at least one folder" in refused(capsys, "train", "--data", "--out", out)
+    combiner = "train", "--data", clips, "--out", out, "--model", "combiner", "--frames", "5"
+    assert "estimates: name at least one method" in refused(capsys, *combiner, "--estimates")
+    assert not out.exists()
+
+
 def test_version(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"rtdenoise {__version__}\n"

@@ -30,7 +30,8 @@ class Estimates:
             raise InputError("no clips: name at least one folder of clips")
         from ..evaluate.estimates import write_all
 
-        methods = split_names(self.methods)
+        if not (methods := split_names(self.methods)):
+            raise InputError("--methods: name at least one method")
         signals = ("color", "indirect") if self.signal == "both" else (self.signal,)
         with progress_bar("estimates") as bar:
             task = bar.add_task("estimates", total=None)

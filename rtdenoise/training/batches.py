@@ -75,6 +75,8 @@ class TrainingSet:
 
 def _opened(folders: tuple[Path, ...], least_spp: int, most_spp: int | None) -> ClipDataset:
     """The clips whose samples a pixel lie in a range."""
+    if not folders:
+        raise InputError("data: name at least one folder of clips")
     data = ClipDataset(*folders)
     if least_spp > 1 or most_spp:
         most = most_spp or math.inf

@@ -195,5 +195,7 @@ def check(config: TrainConfig) -> None:
     for name in ("stills", "lead_in"):
         if getattr(config, name) and config.model in COMBINERS:
             raise InputError(f"{name}: {config.model} takes windows of frames; give clips alone")
+    if config.model in COMBINERS and not config.estimates:
+        raise InputError(f"estimates: name at least one method whose frames {config.model} corrects")
     if config.model in COMBINERS and config.frames != wanted.frames:
         raise InputError(f"frames: the window of {config.model} has {wanted.frames} frames, got {config.frames}")
