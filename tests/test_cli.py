@@ -80,6 +80,7 @@ def test_lists_without_a_name_are_one_line(tmp_path, capsys):
     clips, out = write_clips(tmp_path / "clips", [0]), tmp_path / "run"
     assert "--methods: name at least one" in refused(capsys, "estimates", clips, "--methods")
     assert "data: name at least one folder" in refused(capsys, "train", "--data", "--out", out)
+    assert "--precision: name at least one" in refused(capsys, "evaluate", clips, "--out", out, "--precision")
     combiner = "train", "--data", clips, "--out", out, "--model", "combiner", "--frames", "5"
     assert "estimates: name at least one method" in refused(capsys, *combiner, "--estimates")
     assert not out.exists()

@@ -36,8 +36,10 @@ class EvaluateOptions:
         return self.metrics or tuple(filter(is_there, ALL_METRICS))
 
     def check(self, sources: Sequence[str | Path]) -> None:
-        """Raise InputError for unknown metrics and precisions, metrics without their packages, and references that are
-        not one for each of the `sources`."""
+        """Raise InputError for unknown metrics and precisions, no precision, metrics without their packages, and
+        references that are not one for each of the `sources`."""
+        if not self.precisions:
+            raise InputError("--precision: name at least one")
         for kind, names, known in (
             ("precision", self.precisions, PRECISIONS),
             ("metric", self.metrics, (*ALL_METRICS, *WHOLE_METRICS)),
