@@ -17,15 +17,26 @@ BROKEN = {("hybrid-many", UNEVEN): 1.7, ("hybrid-large-many", UNEVEN): 1.4}
 
 
 def models_in(mode: str) -> list[str]:
-    """The shipped models in a mode; in training, which takes long, one of each architecture: the others differ from it
-    in their widths and weights. bench/stability.py tries all of them."""
+    """The shipped models in a mode: all in float32; elsewhere one of each kind, from which others differ in widths and
+    weights, and in training, which takes long, one of each architecture. bench/stability.py tries all of them."""
     names = [name for name in available() if mode in modes_of(name)]
-    return list({read_config(n).architecture: n for n in reversed(names)}.values()) if mode == "training" else names
+    if mode == "float32":
+        return names
+    kind = _architecture if mode == "training" else _kind
+    return list({kind(name): name for name in reversed(names)}.values())
+
+
+def _architecture(name: str) -> str:
+    return read_config(name).architecture
+
+
+def _kind(name: str) -> tuple[str, bool, bool]:
+    config = read_config(name)
+    return config.architecture, getattr(config, "many", False), getattr(config, "clean", False)
 
 
 MODELS = {mode: models_in(mode) for mode in MODES}
-# Frames of long sequences; a CPU is slow in formats that it has not. bench/stability.py takes 10,000.
-FRAMES = {"float32": 50, "int8": 50} | ({"bfloat16": 50} if torch.ops.mkldnn._is_mkldnn_bf16_supported() else {})
+FRAMES = {"float32": 50}  # of long sequences, elsewhere 30; bench/stability.py takes 10,000
 
 
 @pytest.fixture(scope="module")
