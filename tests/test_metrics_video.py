@@ -85,13 +85,13 @@ def test_ages_follow_the_surface():
     masks = [torch.zeros(1, 1, H, W, dtype=torch.bool) for _ in range(4)]
     masks[1][..., 3] = True
     right = torch.tensor([-2.0, 0.0]).reshape(1, 2, 1, 1).expand(1, 2, H, W)  # everything moves right by 2 px a frame
-    last = ages([right] * 4, masks)[3]
+    last = [*ages([right] * 4, masks)][3]
     assert (last[..., 7] == 2).all() and last.isfinite().sum() == H
 
 
 def test_ages_of_a_moving_square_grow_behind_it():
     frames = make_frames(6)
-    last = ages([f.motion for f in frames], uncovered(frames))[5]
+    last = [*ages([f.motion for f in frames], uncovered(frames))][5]
     row = last[0, 0, 10]
     assert row[6:16].tolist() == [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]  # uncovered two columns a frame
     assert row[:6].isinf().all() and row[16:].isinf().all()

@@ -1,7 +1,8 @@
-"""Error and time: `registry` lists methods, `sequence` runs one, `measure` measures several on frames, `run` measures
-them on sequences on disk."""
+"""Error and time: `registry` lists methods, `sequence` runs one, `judge` measures images, `measure` several methods on
+frames, `run` measures them on sequences on disk."""
 
-from .measure import ALL_METRICS, ALL_REGIONS, METRICS, REGIONS, WHOLE_METRICS, Result, evaluate
+from .judge import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS
+from .measure import METRICS, REGIONS, Result, evaluate
 from .registry import Method, choose, methods
 from .sequence import Output, Step, outputs, uncovered
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from ..errors import InputError, did_you_mean
-from .measure import ALL_METRICS, WHOLE_METRICS
+from .judge import ALL_METRICS, WHOLE_METRICS
 from .registry import PRECISIONS
 
 # Metric -> the module that it needs, and the package that pip installs for it.

@@ -34,19 +34,20 @@ def window(masks: list[Tensor]) -> tuple[int, int, int, int]:
     return _start(y, height, H), _start(x, width, W), height, width
 
 
-def keep_strip(
-    path: Path,
-    images: list[Tensor],  # [1, 3, H, W] linear radiance
+def shown(
+    image: Tensor,  # [1, 3, H, W] linear radiance
     place: tuple[int, int, int, int],  # top, left, height, width
     exposure: float,
-) -> None:
-    """Write the first `MAX_FRAMES` frames, at the exposure that they are displayed at."""
+) -> np.ndarray:  # [height, width, 3] uint8
+    """A frame of a strip, at the exposure that it is displayed at."""
     top, left, height, width = place
-    shown = [
-        display(image[..., top : top + height, left : left + width].float().cpu(), exposure)[0].permute(1, 2, 0)
-        for image in images[:MAX_FRAMES]
-    ]
-    strip = np.concatenate([(frame.numpy() * 255).round().astype(np.uint8) for frame in shown])
+    part = display(image[..., top : top + height, left : left + width].float().cpu(), exposure)[0].permute(1, 2, 0)
+    return (part.numpy() * 255).round().astype(np.uint8)
+
+
+def keep_strip(path: Path, frames: list[np.ndarray]) -> None:
+    """Write these frames, each as `shown`."""
+    strip = np.concatenate(frames)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path, ".webp") as temporary:
         Image.fromarray(strip).save(temporary, quality=QUALITY, method=3)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +25,11 @@ from ..sanitise import sanitise
 from ..wording import counted
 from .document import Document
 from .inputs import Source, reference_errors
-from .measure import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS, OnStep, Result, evaluate, warm_up
+from .judge import ALL_METRICS, ALL_REGIONS, WHOLE_METRICS
+from .measure import OnStep, Result, evaluate, warm_up
 from .options import EvaluateOptions, is_there
 from .origin import LIBRARIES, device_name, origin, typed
-from .playback import MAX_FRAMES, keep_strip, window
+from .playback import MAX_FRAMES, keep_strip, shown, window
 from .registry import Method, choose
 from .sequence import Step, uncovered
 from .stills import keep_picture, keep_truth, stills
@@ -112,39 +113,48 @@ class _Input:
             self.document.sequences[self.source.name]["sample_ms"] = self.source.sample_ms
         if not steps:
             return
+        described = self.document.sequences.get(self.source.name, {})
+        pictured = self.spp == self.source.spp  # pictures are of these frames
+        if pictured or not described:
+            described = described | _describe(self.source, self.frames)
         results = evaluate(
             self.frames, {f"{method.name} {precision}": step for (method, precision), step in steps.items()},
             metrics=self._metrics_of(steps), regions=ALL_REGIONS, device=self.options.device,
             delays={f"{method.name} {precision}": method.delay for method, precision in steps},
             on_step=lambda name, done, total: self.on_step(f"{self.label}: {name}", done, total),
+            keep=partial(self._kept, described) if pictured else lambda i, image: None,
         )  # fmt: skip
         if this_run not in self.document.runs:
             self.document.runs.append(this_run)
-        described = self.document.sequences.get(self.source.name, {})
-        if self.spp == self.source.spp or not described:  # pictures are of these frames
-            described = described | _describe(self.source, self.frames)
         self.document.sequences[self.source.name] = described
         if described.get("reference_psnr") is None:
             self.say(f"{self.label}: no half references, so errors contain the references' noise: none is corrected")
         for (method, precision), result in zip(steps, results, strict=True):
             row = {"method": method.name, "precision": precision, "fingerprint": self._fingerprint(method)}
             self.document.put(self.key | row | {"run": self.document.runs.index(this_run)} | _numbers(result))
-            pictured = self.document.pictured(self.source.name, method.name)
-            if self.spp == self.source.spp and precision == pictured["precision"]:
-                keep_picture(out, self.source, self.frames, method.name, result)
-                self._keep_strip(out, method.name, result.images)
-        if self.spp == self.source.spp:
-            keep_truth(out, self.source, self.frames)
-            self._keep_strip(out, "reference", [frame.reference for frame in self.frames])
+            if pictured and precision == self.document.pictured(self.source.name, method.name)["precision"]:
+                self._keep_strip(out, method.name, [part for part, _ in result.images if part is not None])
+                for number, (_, still) in zip(self.source.base.numbers, result.images, strict=False):
+                    if still is not None:
+                        keep_picture(out, self.source, number, method.name, still)
+        if pictured:
+            first = [frame.reference for frame in self.frames[:MAX_FRAMES]]
+            self._keep_strip(out, "reference", [self._kept(described, i, image)[0] for i, image in enumerate(first)])
+            for i in map(self.source.base.numbers.index, described["stills"]):
+                keep_truth(out, self.source, self.frames[max(0, i - 1) : i + 1])
         self.say(f"{self.label}: {counted(len(steps), 'method')} on {counted(len(self.frames), 'frame')}")
         if others := sorted({row["method"] for row in self.document.results if self._is_of_others(row)}):
             self.say(f"{self.label}: results of {', '.join(others)} are of other frames, or of these before they "
                      "changed: name them, too, to measure them again")  # fmt: skip
 
-    def _keep_strip(self, out: Path, name: str, images: list[torch.Tensor]) -> None:
-        described = self.document.sequences[self.source.name]
-        path = out / "playback" / self.source.name / f"{name}.webp"
-        keep_strip(path, images, described["playback"]["window"], described["exposure"])
+    def _kept(self, described: dict, i: int, image: torch.Tensor) -> tuple[np.ndarray | None, torch.Tensor | None]:
+        """What is kept of the image of frame i: its part of the strip, and the image where it is a still."""
+        number, playback = self.source.base.numbers[i], described["playback"]
+        part = shown(image, playback["window"], described["exposure"]) if number in playback["frames"] else None
+        return part, image if number in described["stills"] else None
+
+    def _keep_strip(self, out: Path, name: str, parts: list[np.ndarray]) -> None:
+        keep_strip(out / "playback" / self.source.name / f"{name}.webp", parts)
 
     def _start(self, wanted: list[tuple[Method, str]]) -> dict[tuple[Method, str], Step]:
         """Steps of the methods that have no result yet and can run; the others are left out."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,6 @@ import torch
 from ..data.exr import write_layers
 from ..frame import Frame
 from .inputs import Source
-from .measure import Result
 from .sequence import uncovered
 
 
@@ -20,24 +20,22 @@ def stills(masks: list[torch.Tensor]) -> list[int]:
     return [int(np.argmax(shares)) if max(shares) > 0 else len(masks) - 1]
 
 
-def keep_picture(out: Path, source: Source, frames: list[Frame], method: str, result: Result) -> None:
-    """Write the frames that `stills` names, as a method denoised them."""
-    for i in stills(uncovered(frames)):
-        write_layers(_still(out, source, frames[i]) / f"{method}.exr", {"color": _array(result.images[i])})
+def keep_picture(out: Path, source: Source, number: int, method: str, image: torch.Tensor) -> None:
+    """Write a frame as a method denoised it."""
+    write_layers(_still(out, source, number) / f"{method}.exr", {"color": _array(image)})
 
 
-def keep_truth(out: Path, source: Source, frames: list[Frame]) -> None:
-    """Write the references of the same frames, with motion and the uncovered pixels."""
-    masks = uncovered(frames)
-    for i in stills(masks):
-        motion = torch.zeros_like(frames[i].radiance[:, :2]) if frames[i].motion is None else frames[i].motion
-        truth = {"color": frames[i].reference, "motion": motion, "uncovered": masks[i].float()}
-        layers = {layer: _array(image) for layer, image in truth.items()}
-        write_layers(_still(out, source, frames[i]) / "reference.exr", layers)
+def keep_truth(out: Path, source: Source, frames: Sequence[Frame]) -> None:
+    """Write the reference of the last of one or two frames, with its motion and the uncovered pixels."""
+    frame, mask = frames[-1], uncovered(frames)[-1]
+    motion = torch.zeros_like(frame.radiance[:, :2]) if frame.motion is None else frame.motion
+    truth = {"color": frame.reference, "motion": motion, "uncovered": mask.float()}
+    layers = {layer: _array(image) for layer, image in truth.items()}
+    write_layers(_still(out, source, frame.number) / "reference.exr", layers)
 
 
-def _still(out: Path, source: Source, frame: Frame) -> Path:
-    folder = out / "pictures" / source.name / f"{frame.number:04d}"
+def _still(out: Path, source: Source, number: int) -> Path:
+    folder = out / "pictures" / source.name / f"{number:04d}"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -109,28 +109,47 @@ def ghost_length(
     and `settled` if E(settled - 1) is still higher. NaN if no pixel has an age ≥ `settled`, or no pixel a smaller one.
     Ages without pixels are skipped.
     """
-    total, count = torch.zeros(settled + 1, dtype=torch.float64), torch.zeros(settled + 1, dtype=torch.float64)
+    ghost = Ghost(settled)
     for image, reference, age in zip(images, references, ages(motions, masks), strict=True):
+        ghost.add(image, reference, age, scale)
+    return ghost.length
+
+
+class Ghost:
+    """`ghost_length`, one frame after the other."""
+
+    def __init__(self, settled: int = 6) -> None:
+        self.settled = settled
+        self.total = torch.zeros(settled + 1, dtype=torch.float64)  # of errors at each age
+        self.count = torch.zeros(settled + 1, dtype=torch.float64)
+
+    def add(self, image: Tensor, reference: Tensor, age: Tensor, scale: Tensor | float) -> None:
+        """Count a frame, whose pixels have these `ages`."""
         a, r = displayed(scale, image, reference)
         error = (a - r).square().mean(1, keepdim=True).double()
         known = age.isfinite()
-        index = age[known].clamp(max=settled).long().cpu()
-        total.index_add_(0, index, error[known].cpu())
-        count.index_add_(0, index, torch.ones(len(index), dtype=torch.float64))
-    if count[settled] == 0 or count[:settled].sum() == 0:
-        return math.nan
-    limit = 1.1 * (total / count)[settled]
-    above = [k for k in range(settled) if count[k] and total[k] / count[k] > limit]
-    return float(above[-1] + 1) if above else 0.0
+        index = age[known].clamp(max=self.settled).long().cpu()
+        self.total.index_add_(0, index, error[known].cpu())
+        self.count.index_add_(0, index, torch.ones(len(index), dtype=torch.float64))
+
+    @property
+    def length(self) -> float:
+        """In frames, of those so far."""
+        total, count, settled = self.total, self.count, self.settled
+        if count[settled] == 0 or count[:settled].sum() == 0:
+            return math.nan
+        limit = 1.1 * (total / count)[settled]
+        above = [k for k in range(settled) if count[k] and total[k] / count[k] > limit]
+        return float(above[-1] + 1) if above else 0.0
 
 
-def ages(motions: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
+def ages(motions: Iterable[Tensor], masks: Iterable[Tensor]) -> Iterator[Tensor]:
     """Age of each pixel as `ghost_length` defines it, `[1, 1, H, W]` float; inf: none."""
-    result: list[Tensor] = []
+    before = None
     for motion, mask in zip(motions, masks, strict=True):
-        before = fetch(result[-1], motion) + 1 if result else torch.full_like(motion[:, :1], math.inf)
-        result.append(torch.where(mask, 0.0, torch.where(on_screen(motion), before, math.inf)))
-    return result
+        older = torch.full_like(motion[:, :1], math.inf) if before is None else fetch(before, motion) + 1
+        before = torch.where(mask, 0.0, torch.where(on_screen(motion), older, math.inf))
+        yield before
 
 
 def fovvideovdp(
