@@ -56,10 +56,15 @@ def albedo_divisor(albedo: Tensor, depth: Tensor) -> Tensor:
 def display_exposure(reference: Image) -> Tensor | float:
     """Scalar that brings the 98th percentile of the reference to 0.9, for pictures and display metrics."""
     values = reference.flatten()
-    values = values[:: max(1, len(values) // 1_000_000)]
+    values = values[:: sampled_apart(len(values))]
     if isinstance(values, np.ndarray):
         return 0.9 / max(float(np.quantile(values, 0.98)), 1e-8)
     return 0.9 / values.float().quantile(0.98).clamp(min=1e-8)
+
+
+def sampled_apart(values: int) -> int:
+    """Of so many values `display_exposure` looks at every how-manieth."""
+    return max(1, values // 1_000_000)
 
 
 def display(radiance: Image, scale: Tensor | float = 1.0) -> Image:

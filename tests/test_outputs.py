@@ -1,13 +1,17 @@
 """The loop that runs every method: one image a frame, in order, with shots and look-ahead."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from weakref import ref
 
 import pytest
 import torch
 from synthetic import make_frames
 
-from rtdenoise.evaluate import evaluate, outputs, sequence
+from rtdenoise.color import display_exposure
+from rtdenoise.evaluate import ALL_METRICS, evaluate, outputs, sequence
 from rtdenoise.evaluate.registry import Method
+from rtdenoise.evaluate.sequence import Frames, exposure
 
 
 def counting(frame, history):
@@ -83,6 +87,46 @@ def test_methods_take_turns_and_say_so():
     steps = {"a": counting, "b": counting}
     evaluate(make_frames(2), steps, on_step=lambda label, done, total: told.append((label, done, total)))
     assert told == [("a", 1, 4), ("b", 2, 4), ("a", 3, 4), ("b", 4, 4)]
+
+
+def test_what_is_kept_of_images_can_be_chosen():
+    frames = make_frames(3)
+    (result,) = evaluate(frames, ["noisy"], keep=lambda i, image: (i, image[..., :1, :1]))
+    assert [i for i, _ in result.images] == [0, 1, 2]
+    assert all(torch.equal(part, f.radiance[..., :1, :1]) for (_, part), f in zip(result.images, frames, strict=True))
+
+
+def test_frames_are_read_when_they_are_asked_for(monkeypatch):
+    read = []
+    monkeypatch.setattr(sequence, "HELD", 2)
+    frames = Frames(4, lambda i: read.append(i) or i)
+    assert len(frames) == 4 and not read
+    assert (frames[-1], frames[3], frames[1:3], [*frames], read) == (3, 3, [1, 2], [0, 1, 2, 3], [3, 1, 2, 0, 1, 2, 3])
+    with pytest.raises(IndexError):
+        frames[4]
+
+
+def test_a_long_sequence_is_measured_with_few_frames_in_memory(monkeypatch):
+    monkeypatch.setattr(sequence, "HELD", 2)
+    made, given, alive = make_frames(8), [], []
+
+    def read(i):
+        frame = replace(made[i], radiance=made[i].radiance.clone())
+        given.append(ref(frame.radiance))
+        return frame
+
+    options = {"methods": ["accumulate", "noisy"], "metrics": ALL_METRICS, "keep": lambda i, image: None}
+    count = lambda *_: alive.append(sum(frame() is not None for frame in given))  # noqa: E731
+    found = evaluate(Frames(8, read), on_step=count, **options)
+    assert len(given) > 8 and max(alive) <= 5
+    for result, expected in zip(found, evaluate(made, **options), strict=True):
+        assert repr((result.errors, result.frames)) == repr((expected.errors, expected.frames))
+
+
+def test_the_exposure_of_frames_is_that_of_all_references_together():
+    for count, width in ((3, 50), (3, 701), (5, 1102)):
+        frames = [SimpleNamespace(reference=torch.rand(1, 3, 500, width)) for _ in range(count)]
+        assert exposure(frames) == display_exposure(torch.cat([frame.reference for frame in frames]))
 
 
 def test_unnumbered_frames_are_one_shot():

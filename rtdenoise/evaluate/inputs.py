@@ -16,10 +16,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from ..color import display_exposure
 from ..data.opening import open_sequence
 from ..data.sequences import Sequence
 from ..errors import InputError
@@ -28,6 +26,7 @@ from ..frame import Frame
 from ..metrics.image import decibels, masked_mean, reference_mse
 from ..run.pairs import are_same
 from .measure import check_references
+from .sequence import Frames, exposure
 
 LAYERS = ("reference", "reference_half")
 EXTRA = ("components", "position", "samples")  # that some methods read beside the usual ones, where there are any
@@ -88,15 +87,15 @@ class Source:
         """How many frames are measured."""
         return min(len(self.base), self.limit or len(self.base))
 
-    def frames(self, spp: int) -> list[Frame]:
+    def frames(self, spp: int) -> Frames:
         """The frames at that many samples, with references. Raises InputError where references are not finite.
 
         `samples` is what the files say, or else `spp`: methods that correct frames depend on it.
         """
         sequence = self.at(spp)
-        frames = [replace(sequence[i], **self.references(i)) for i in range(self.length)]
+        frames = Frames(self.length, lambda i: replace(sequence[i], **self.references(i)).with_samples(spp))
         check_references(frames)
-        return [frame.with_samples(spp) for frame in frames]
+        return frames
 
     def references(self, i: int) -> dict[str, Tensor | None]:
         """`reference` and `reference_half` of frame i, as fields of `Frame`."""
@@ -120,18 +119,19 @@ class Source:
         return [*own, *([self.base.scene] if computed else [])]
 
 
-def reference_errors(frames: list[Frame]) -> dict[str, float | None]:
+def reference_errors(frames: Frames | list[Frame]) -> dict[str, float | None]:
     """`reference_relmse` and `reference_psnr`: the references' own errors, from their halves; None without halves.
 
     With r₁ one half of the samples of r, E[(r - r₁)²] is the variance of r: a half has twice the variance, and r₁ is
     half of r.
     """
-    if any(frame.reference_half is None for frame in frames):
-        return {"reference_relmse": None, "reference_psnr": None}
-    scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-    pairs = [(frame.reference * scale, frame.reference_half * scale) for frame in frames]
-    relative = [masked_mean((r - half).square() / (r.square() + 0.01), None) for r, half in pairs]
-    shown = [reference_mse(frame.reference, frame.reference_half, scale) for frame in frames]
+    scale, relative, shown = exposure(frames), [], []
+    for frame in frames:
+        if frame.reference_half is None:
+            return {"reference_relmse": None, "reference_psnr": None}
+        r, half = frame.reference * scale, frame.reference_half * scale
+        relative.append(masked_mean((r - half).square() / (r.square() + 0.01), None))
+        shown.append(reference_mse(frame.reference, frame.reference_half, scale))
     return {"reference_relmse": float(np.mean(relative)), "reference_psnr": decibels(float(np.mean(shown)))}
 
 

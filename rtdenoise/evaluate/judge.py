@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from .. import metrics as measures
-from ..color import display_exposure
 from ..frame import Frame
 from ..metrics.image import decibels_of_estimate, masked_mean
 from ..metrics.video import ages
-from .sequence import uncovered
+from .sequence import exposure, uncovered
 
 # Regions of errors: the frame; pixels uncovered in it, one and two frames before (M⁰, M¹, M² of the paper).
 ALL_REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
@@ -41,8 +39,7 @@ class Judge:
 
     @classmethod
     def of(cls, frames: Sequence[Frame], skip: int, metrics: tuple[str, ...], regions: tuple[str, ...]) -> Judge:
-        scale = display_exposure(torch.cat([frame.reference for frame in frames]))
-        return cls(frames, uncovered(frames), scale, skip, metrics, regions)
+        return cls(frames, uncovered(frames), exposure(frames), skip, metrics, regions)
 
     def ages(self) -> Iterable[Tensor | None]:
         """`metrics.ages` of each frame; a single frame has none."""

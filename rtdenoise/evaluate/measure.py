@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import tee
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from ..frame import Frame
 from ..metrics.video import Ghost
 from .judge import ALL_REGIONS, Judge
 from .registry import choose
-from .sequence import Step, outputs
+from .sequence import Frames, Step, outputs
 
 REGIONS = ALL_REGIONS[:2]
 METRICS = ("psnr", "ssim", "relmse")
@@ -77,11 +76,8 @@ def evaluate(
     judge = Judge.of(frames, min(skip, len(frames) - 1), tuple(metrics), tuple(regions))
     for name, step in steps.items():
         warm_up(step, frames, device, delays.get(name, 0))
-    streams = tee((frame.to(device) for frame in frames), len(steps))
-    runs = {
-        name: outputs(step, stream, delays.get(name, 0))
-        for (name, step), stream in zip(steps.items(), streams, strict=True)
-    }
+    there = Frames(len(frames), lambda i: frames[i].to(device))
+    runs = {name: outputs(step, there, delays.get(name, 0)) for name, step in steps.items()}
     measured = {name: _Measured(judge, Result(name, {}, [])) for name in steps}
     for i, age in enumerate(judge.ages()):
         for turn, (name, run) in enumerate(runs.items()):

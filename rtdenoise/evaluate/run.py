@@ -16,10 +16,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..color import display_exposure
 from ..errors import InputError
 from ..files import lock, remove_unfinished
-from ..frame import Frame
 from ..run.plan import make_plan
 from ..sanitise import sanitise
 from ..wording import counted
@@ -31,7 +29,7 @@ from .options import EvaluateOptions, is_there
 from .origin import LIBRARIES, device_name, origin, typed
 from .playback import MAX_FRAMES, keep_strip, shown, window
 from .registry import Method, choose
-from .sequence import Step, uncovered
+from .sequence import Frames, Step, exposure, uncovered
 from .stills import keep_picture, keep_truth, stills
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")
@@ -94,7 +92,7 @@ class _Input:
     say: Callable[[str], None]
     on_step: OnStep
     reasons: dict[str, list[str]] = field(default_factory=dict)  # reason -> names of the methods left out for it
-    frames: list[Frame] = field(default_factory=list)  # read when the first method needs them
+    frames: Frames | None = None  # opened when the first method needs them
 
     @property
     def key(self) -> dict:
@@ -222,17 +220,18 @@ def _numbers(result: Result) -> dict:
     }
 
 
-def _describe(source: Source, frames: list[Frame]) -> dict:
-    masks = uncovered(frames)
+def _describe(source: Source, frames: Frames) -> dict:
+    masks, numbers = uncovered(frames), list(source.base.numbers[: len(frames)])
+    clean = Frames(len(frames), lambda i: sanitise(frames[i]))
     return {
         "size": list(source.base.size),
-        "frames": [frame.number for frame in frames],
+        "frames": numbers,
         "base_spp": source.spp,
         "sample_ms": source.sample_ms,
-        "exposure": float(display_exposure(torch.cat([frame.reference for frame in frames]))),
+        "exposure": float(exposure(frames)),
         "uncovered_share": float(np.mean([mask.float().mean() for mask in masks[1:]] or [0.0])),
         **reference_errors(frames),
-        "playback": {"window": window(masks), "frames": [frame.number for frame in frames[:MAX_FRAMES]]},
-        "stills": [frames[i].number for i in stills(masks)],
-        "plan": make_plan(source.base.size, len(frames), "dual", [sanitise(frame) for frame in frames]).to_json(),
+        "playback": {"window": window(masks), "frames": numbers[:MAX_FRAMES]},
+        "stills": [numbers[i] for i in stills(masks)],
+        "plan": make_plan(source.base.size, len(frames), "dual", clean).to_json(),
     }

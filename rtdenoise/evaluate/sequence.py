@@ -11,15 +11,32 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from .. import motion
+from ..color import display_exposure, sampled_apart
 from ..frame import Frame
 
+HELD = 16  # frames in memory
 Step = Callable[[Frame | None, Any], tuple[Tensor | None, Any]]
+
+
+class Frames(Sequence[Frame]):
+    """So many frames, each read when it is asked for; the latest `HELD` stay in memory."""
+
+    def __init__(self, count: int, read: Callable[[int], Frame]) -> None:
+        self._places, self._read = range(count), lru_cache(HELD)(read)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, i: int | slice) -> Frame | list[Frame]:
+        place = self._places[i]
+        return [self._read(p) for p in place] if isinstance(place, range) else self._read(place)
 
 
 @dataclass(frozen=True)
@@ -75,11 +92,23 @@ def outputs(step: Step, frames: Iterable[Frame], delay: int = 0, cuts: Collectio
     yield from flush()
 
 
-def uncovered(frames: Sequence[Frame]) -> list[Tensor]:
+def uncovered(frames: Iterable[Frame]) -> list[Tensor]:
     """Occlusion mask of every frame, `[B, 1, H, W]` bool; empty for the first and without the previous
     `motion_next`."""
-    before = [None, *(frame.motion_next for frame in frames[:-1])]
-    return [motion.uncovered(frame, motion_next) for frame, motion_next in zip(frames, before, strict=True)]
+    masks, before = [], None
+    for frame in frames:
+        masks.append(motion.uncovered(frame, before))
+        before = frame.motion_next
+    return masks
+
+
+def exposure(frames: Sequence[Frame]) -> Tensor:
+    """`display_exposure` of all references, frames of one size; it holds no more of each than it looks at."""
+    size = frames[0].reference.numel()
+    apart = sampled_apart(len(frames) * size)
+    starts = (-i * size % apart for i in range(len(frames)))
+    sampled = [frame.reference.flatten()[i::apart].clone() for i, frame in zip(starts, frames, strict=True)]
+    return display_exposure(torch.cat(sampled))
 
 
 def _timed(step: Step, frame: Frame | None, history: Any, like: Frame) -> tuple[Tensor | None, Any, float]:

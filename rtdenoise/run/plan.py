@@ -18,6 +18,7 @@ layers are tensors or numpy arrays.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -61,7 +62,7 @@ def make_plan(
     size: tuple[int, int],  # (H, W)
     frames: int,  # how many
     model_motion: str | None,  # motion that fetches history: 'dual' or 'traditional'; None: the model reads no motion
-    first: list[Frame],  # the frames to examine
+    first: Sequence[Frame],  # the frames to examine
     windows: bool = True,  # whether backend and model can denoise a frame in windows
     reads: tuple[str, ...] = (),  # layers that the model reads beside `LAYERS`
 ) -> Plan:
@@ -76,16 +77,15 @@ def make_plan(
     decisions = [Decision(f"layer {layer}", "always", why) for layer, why in unread.items()]
     where = "always" if frames == 1 else "in first frames"
     decisions.append(Decision("running means", where, "where there is no history"))
-    if pairs := [(a.motion_next, b) for a, b in pairwise(first) if b.number == a.number + 1]:
-        known = [look(frame, before) for before, frame in pairs]
+    if known := [look(b, a.motion_next) for a, b in pairwise(first) if b.number == a.number + 1]:
         still, covered = sum(k.still for k in known), sum(k.covered for k in known)
         decisions += [
-            Decision("warp of history", f"{still} of {len(pairs)} frames examined", "where nothing moves"),
-            Decision("dual motion", f"{covered} of {len(pairs)} frames examined", "where no pixel can be uncovered"),
+            Decision("warp of history", f"{still} of {len(known)} frames examined", "where nothing moves"),
+            Decision("dual motion", f"{covered} of {len(known)} frames examined", "where no pixel can be uncovered"),
         ]
     tiled = windows and size[0] * size[1] >= TILED_FROM
     if windows:
-        varied = [varied_rows(frame.radiance) for frame in first]
+        varied = (varied_rows(frame.radiance) for frame in first)
         plain = sum(bottom - top <= (1 - MIN_PLAIN_SHARE) * size[0] for top, bottom, _ in varied)
         decisions += [
             Decision("network in plain rows", f"{plain} of {len(first)} frames examined at most",
