@@ -1,5 +1,8 @@
 """`rtdenoise denoise` with several shots: each by a process, into a folder of its own, resumable."""
 
+import re
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from synthetic import make_frames, write_sequence
@@ -7,7 +10,7 @@ from synthetic import make_frames, write_sequence
 from rtdenoise.cli.denoise import Denoise, _try, find_shots
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_channels
-from rtdenoise.errors import InputError
+from rtdenoise.errors import InputError, NotFused
 from rtdenoise.run.denoise import Options, denoise
 
 
@@ -51,6 +54,26 @@ def test_a_shot_that_lacks_memory_stops_no_other(tmp_path, monkeypatch):
     monkeypatch.setattr("rtdenoise.run.denoise.denoise", lacks)
     found = _try(Denoise(("shot",), out=tmp_path), "shot", tmp_path)
     assert isinstance(found, InputError) and str(found) == "out of memory (Unable to allocate 64 GiB)"
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (RuntimeError("CUDA out of memory. Tried to allocate 64 GiB"), r"out of memory \(CUDA out of memory"),
+        (NotFused("no fused op here"), "no fused op here"),
+        (OSError(28, "No space left on device"), "a file: No space left on device"),
+    ],
+)
+def test_what_a_user_can_cause_stops_no_other_shot(tmp_path, monkeypatch, error, told):
+    monkeypatch.setattr("rtdenoise.run.denoise.denoise", Mock(side_effect=error))
+    found = _try(Denoise(("shot",), out=tmp_path), "shot", tmp_path)
+    assert isinstance(found, InputError) and re.match(told, str(found))
+
+
+def test_a_fault_of_the_program_is_no_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("rtdenoise.run.denoise.denoise", Mock(side_effect=RuntimeError("shapes differ")))
+    with pytest.raises(RuntimeError, match="shapes differ"):
+        _try(Denoise(("shot",), out=tmp_path), "shot", tmp_path)
 
 
 def test_names_of_shots(tmp_path, monkeypatch):

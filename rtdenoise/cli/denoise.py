@@ -20,6 +20,7 @@ from ..run.options import CombineOptions, Options, Summary
 from ..run.processes import Place, Processes
 from ..run.threads import cpu_limit
 from ..wording import counted
+from .failures import line
 from .progress import frame_progress, progress_bar
 
 CORES = 4  # for a shot
@@ -200,12 +201,10 @@ def _try(command: Denoise, source: str, out: Path) -> list[str] | InputError:
     """`denoise_shot` in a process of its own: an error is handed back, so that other shots go on."""
     try:
         return denoise_shot(command, source, out)
-    except InputError as error:
-        return error
-    except OSError as error:  # a full disk
-        return InputError(f"{error.filename or 'a file'}: {error.strerror or error}")
-    except MemoryError as error:
-        return InputError(f"out of memory{f' ({error})' if str(error) else ''}")
+    except Exception as error:
+        if (said := line(error)) is not None:
+            return InputError(said)
+        raise
 
 
 def _start(threads: int) -> None:

@@ -8,13 +8,11 @@ from __future__ import annotations
 import os
 import sys
 
-from ..errors import INSTALL_TORCH, InputError, NotFused
+from ..errors import InputError
+from .failures import line
 
 INTERRUPTED = "interrupted; run the same command again to go on"
-OUT_OF_MEMORY = (  # how torch, its drivers and the system's loader say it
-    "out of memory", "can't allocate memory", "not enough memory", "bad_alloc", "failed to map segment",
-    "cannot allocate memory",
-)  # fmt: skip
+ADVICE = "; use smaller frames, a smaller --batch or fewer --workers, or close other programs"
 MIN_ADDRESS_SPACE = 700e6  # bytes; with less, libraries abort while they are loaded
 
 
@@ -34,26 +32,13 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(141)
     except KeyboardInterrupt:
         _stop(130, INTERRUPTED)
-    except (InputError, NotFused) as error:
-        _stop(2, str(error))
-    except MemoryError as error:
-        _stop(2, _out_of_memory(error))
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "torch":
-            raise
-        _stop(2, f"this needs PyTorch, which is not installed; {INSTALL_TORCH}")
-    except OSError as error:  # a full disk, a folder without write permission
-        _stop(2, f"{error.filename or 'a file'}: {error.strerror or error}")
-    except RuntimeError as error:
-        if not any(words in str(error).lower() for words in OUT_OF_MEMORY):
-            raise
-        _stop(2, _out_of_memory(error))
-    except ImportError as error:  # compiled modules turn Ctrl-C during their import into an ImportError
-        if any(words in str(error).lower() for words in OUT_OF_MEMORY):
-            _stop(2, _out_of_memory(error))
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            raise
-        _stop(130, INTERRUPTED)
+    except Exception as error:
+        if (said := line(error, ADVICE)) is not None:
+            _stop(2, said)
+        # Compiled modules turn Ctrl-C during their import into an ImportError.
+        if isinstance(error, ImportError) and isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            _stop(130, INTERRUPTED)
+        raise
 
 
 def _run(arguments: list[str]) -> None:
@@ -89,9 +74,3 @@ def _refuse_low_limit() -> None:
 def _stop(code: int, message: str) -> None:
     print(f"rtdenoise: {message}", file=sys.stderr)
     sys.exit(code)
-
-
-def _out_of_memory(error: Exception) -> str:
-    detail = str(error).partition("\n")[0]
-    advice = "use smaller frames, a smaller --batch or fewer --workers, or close other programs"
-    return f"out of memory{f' ({detail})' if detail else ''}; {advice}"
