@@ -170,23 +170,28 @@ def test_same_seed_same_weights_other_seed_others(config, tmp_path):
     assert not all(torch.equal(first[k], other[k]) for k in first)
 
 
-@pytest.mark.parametrize("optimiser", ["adam", "muon"])
-def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch, optimiser):
-    config = replace(config, optimiser=optimiser)
-    whole = load(train(config)).state_dict()
-    interrupted = replace(config, out=tmp_path / "interrupted")
+def interrupt_at_four(config, monkeypatch):
+    """Begin a run, and stop it after four steps."""
     step = Trainer.train_step
 
-    def interrupt_at_four(self, clip):
+    def interrupted(self, clip):
         row = step(self, clip)
         if row["step"] == 4:
             signal.raise_signal(signal.SIGTERM)
         return row
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "train_step", interrupt_at_four)
+        patch.setattr(Trainer, "train_step", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            train(interrupted)
+            train(config)
+
+
+@pytest.mark.parametrize("optimiser", ["adam", "muon"])
+def test_a_killed_run_resumes_to_the_same_weights(config, tmp_path, monkeypatch, optimiser):
+    config = replace(config, optimiser=optimiser)
+    whole = load(train(config)).state_dict()
+    interrupted = replace(config, out=tmp_path / "interrupted")
+    interrupt_at_four(interrupted, monkeypatch)
     assert torch.load(interrupted.out / "checkpoint.pt", weights_only=True)["step"] == 4
     with (interrupted.out / "log.jsonl").open("a") as rows:  # as after a kill later than the last checkpoint
         rows.write('{"step": 5, "loss": 1.0}\n{"step": 6, "lo')
@@ -435,6 +440,28 @@ def test_the_best_validation_is_what_ships(config, monkeypatch):
     monkeypatch.setattr(tasks, "DENOISING", scored)
     with safe_open(train(config), framework="np") as file:
         assert json.loads(file.metadata()["training"])["reached_step"] == 3
+
+
+def test_the_best_weights_are_not_overwritten_without_validation(config):
+    best = train(config).read_bytes()
+    with pytest.raises(InputError, match=r"best validation so far.*--val"):
+        train(replace(config, val=None))
+    assert train(config).read_bytes() == best
+    (config.out / "weights.safetensors").unlink()
+    train(replace(config, val=None))
+    assert load(config.out / "weights.safetensors")
+
+
+def test_a_resumed_run_does_without_the_weights_that_it_began_with(config, tmp_path, monkeypatch):
+    first = train(config)
+    whole = load(train(replace(config, out=tmp_path / "whole", init=first))).state_dict()
+    interrupted = replace(config, out=tmp_path / "interrupted", init=first)
+    interrupt_at_four(interrupted, monkeypatch)
+    first.unlink()
+    resumed = load(train(interrupted)).state_dict()
+    assert all(torch.equal(whole[k], resumed[k]) for k in whole)
+    with pytest.raises(InputError, match="no model"):
+        train(replace(interrupted, out=tmp_path / "other"))
 
 
 def test_training_starts_from_weights(config, tmp_path):

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from .. import __version__
@@ -55,8 +55,9 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
         data = TrainingSet.open(config)
         validation = open_validation(config, data)
         data.refuse_unfit(config)
-        trainer = Trainer(config)
-        out = Path(config.out)  # what fails before leaves no folder
+        out = Path(config.out)
+        trainer = Trainer(replace(config, init=None) if (out / CHECKPOINT).exists() else config)
+        # What fails before leaves no folder.
         out.mkdir(parents=True, exist_ok=True)
         with lock(out) if rank == 0 else nullcontext():
             return _train(trainer, share, data, validation, on_step)
@@ -79,6 +80,9 @@ def _train(
         if trainer.step > config.steps:
             raise InputError(f"{out / CHECKPOINT}: is of step {trainer.step}, the run has {config.steps}; remove it to "
                              "begin anew")  # fmt: skip
+        if validation is None and trainer.best > -math.inf and (out / WEIGHTS).exists():
+            raise InputError(f"{out / WEIGHTS}: holds the weights of the best validation so far, which the last ones "
+                             "would overwrite: name --val again, or move that file away")  # fmt: skip
     with _until_stopped() as stopping:
         if first:
             _lead(trainer, share, data, validation, stopping, on_step)
