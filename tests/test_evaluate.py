@@ -197,6 +197,17 @@ def test_corrected_psnr_is_of_the_mean_over_frames():
     assert errors["psnr_corrected"] == pytest.approx(-10 * math.log10(errors["mse_corrected"]))
 
 
+def test_errors_over_time_begin_at_the_second_frame():
+    frames = with_noisy_references(make_frames(3, H=48, W=64))
+    over_time = ("tpsnr", "tpsnr_corrected", "tmse_corrected", "temporal_relmae")
+    whole, later = (evaluate(frames, ["noisy"], skip, (*over_time, "psnr"))[0] for skip in (0, 1))
+    assert (len(whole.frames), len(later.frames)) == (3, 2)
+    for metric in over_time:
+        assert math.isnan(whole.frames[0]["frame"][metric])
+        assert whole.errors["frame"][metric] == later.errors["frame"][metric]
+    assert whole.errors["frame"]["psnr"] != later.errors["frame"]["psnr"]
+
+
 def test_without_half_references_nothing_is_corrected(tmp_path, capsys):
     bare = [replace(frame, reference_half=None) for frame in make_frames(3)]
     (result,) = evaluate(bare, ["noisy"], metrics=("psnr_corrected", "mse_corrected", "psnr"))

@@ -22,6 +22,7 @@ ALL_METRICS = (
     "psnr", "psnr_corrected", "ssim", "relmse", "flip", "smape", "l1", "mse", "mse_corrected", "tpsnr",
     "tpsnr_corrected", "tmse_corrected", "temporal_relmae",
 )  # fmt: skip
+OVER_TIME = ("tpsnr", "tpsnr_corrected", "tmse_corrected", "temporal_relmae")  # a first frame has none
 MEAN_SQUARES = {"psnr_corrected": "mse_corrected", "tpsnr_corrected": "tmse_corrected"}  # of these decibels
 WHOLE_METRICS = ("fovvideovdp",)  # of a whole sequence, over the frame only
 
@@ -54,8 +55,9 @@ class Judge:
         """region -> metric -> error of all measured frames, from the errors of each."""
         measured = range(self.skip, len(self.frames))
         weights = {region: [self._pixels(region, i) for i in measured] for region in self.regions}
+        first = {m: int(m in OVER_TIME and self.skip == 0) for m in self.metrics}  # of the frames that have the metric
         return {
-            region: {m: _overall(m, [f[region] for f in frames], weights[region]) for m in self.metrics}
+            region: {m: _overall(m, [f[region] for f in frames[k:]], weights[region][k:]) for m, k in first.items()}
             for region in self.regions
         }
 

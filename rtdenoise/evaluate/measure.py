@@ -29,8 +29,8 @@ class Result:
     """One method on one sequence.
 
     `errors[region][metric]` is the mean over frames, weighted by the pixels of the region in each; NaN where the region
-    is empty. `psnr_corrected` is the PSNR of the mean of `mse_corrected`, which can be negative in a single frame;
-    `tpsnr_corrected` likewise.
+    is empty; a first frame has no error over time. `psnr_corrected` is the PSNR of the mean of `mse_corrected`, which
+    can be negative in a single frame; `tpsnr_corrected` likewise.
     """
 
     method: str
