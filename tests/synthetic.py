@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from rtdenoise.constants import RECALL_RESET
 from rtdenoise.data.clip_file import clip_path, write_clip
 from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
@@ -122,6 +123,11 @@ def with_bad_pixels(frame):
     radiance = frame.radiance.clone()
     radiance[..., 3, 3], radiance[..., 4, 9] = math.nan, math.inf
     return replace(frame, radiance=radiance)
+
+
+def reset_of(kept):
+    """The reset of a kept frame (`ops.kept`), `[B, 1, H, W]` in [0, 1]."""
+    return (kept[:, RECALL_RESET : RECALL_RESET + 1] & -65536).view(torch.float32)
 
 
 def assert_goes_on(shot, folder, options, count, when_stopped=lambda out: None):

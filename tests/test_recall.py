@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import TINY, assert_goes_on, make_frames, write_sequence
+from synthetic import TINY, assert_goes_on, make_frames, reset_of, write_sequence
 
 from rtdenoise import models, ops
 from rtdenoise.color import albedo_divisor
@@ -16,7 +16,7 @@ from rtdenoise.frame import OFF_SCREEN, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
 from rtdenoise.ops.keep import keep
-from rtdenoise.ops.kept import edge_motion, reset_of
+from rtdenoise.ops.kept import edge_motion
 from rtdenoise.ops.pixels import accumulate
 from rtdenoise.ops.recall import FOOTPRINT, recall, unchanged, white
 from rtdenoise.run.denoise import Options

@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import make_frames
+from synthetic import make_frames, reset_of
 
 from rtdenoise import glsl, models, ops
 from rtdenoise.constants import RETEXTURED_LEAST, RETEXTURED_MOST
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import past
-from rtdenoise.ops.kept import reset_of
 from rtdenoise.ops.retextured import retextured
 
 KINDS = ["default", "fast", "hybrid-fast", "many"]

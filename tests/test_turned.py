@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import make_frames
+from synthetic import make_frames, reset_of
 
 from rtdenoise import glsl, models, ops
 from rtdenoise.constants import TURNED_ANGLE, TURNED_NOISE
 from rtdenoise.frame import Frame, Known
 from rtdenoise.models import hybrid, past
-from rtdenoise.ops.kept import reset_of
 from rtdenoise.ops.turned import turned
 
 SIZE = 22, 30

@@ -15,7 +15,6 @@ from ..constants import (
     RECALL_DEPTH,
     RECALL_EDGE_SPEED,
     RECALL_FOOTPRINT_WORDS,
-    RECALL_RESET,
     RECALL_WORDS,
 )
 
@@ -58,11 +57,6 @@ def distance(depth: Tensor) -> Tensor:
 def motion_of(kept: Tensor) -> Tensor:
     """The motion of a kept frame, `[B, 2, H, W]` (x, y) in pixels."""
     return _unpacked(kept[:, RECALL_WORDS - 1 : RECALL_WORDS])
-
-
-def reset_of(kept: Tensor) -> Tensor:
-    """The reset of a kept frame, `[B, 1, H, W]` in [0, 1]."""
-    return _unpacked(kept[:, RECALL_RESET : RECALL_RESET + 1])[:, 1:]
 
 
 def nearer(depth: Tensor, by: Tensor | float) -> Tensor:
