@@ -17,7 +17,12 @@ ALPHAS = ("auto", "rendered")
 
 
 def check_output(
-    sequence: Sequence, layout: str, recombine: bool, keep: tuple[str, ...], alpha: str = "auto"
+    sequence: Sequence,
+    layout: str,
+    recombine: bool,
+    keep: tuple[str, ...],
+    alpha: str = "auto",
+    confidence: bool = False,  # whether that is written, too
 ) -> None:
     """Raise `InputError` for output that cannot be written, before anything is denoised."""
     for what, given, known in (("layout", layout, LAYOUTS), ("alpha", alpha, ALPHAS)):
@@ -43,6 +48,8 @@ def check_output(
             raise InputError(f"{file}: would be written to the same file as {sources[name]}: {name}; rename the files, "
                              "so that each has a name of its own")  # fmt: skip
         sources[name] = file
+    if confidence and layout != "plain":
+        raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
 
 
 def protect_input(sequence: Sequence, out: Path, layout: str, recombine: bool) -> None:

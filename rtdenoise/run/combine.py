@@ -62,9 +62,7 @@ def combine(
     source, joined = with_panorama(with_surfaces(source, options), options)
     source, options, found = with_lens_if_lacking(source, options)
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
-    check_output(source, options.layout, options.recombine, options.keep, options.alpha)
-    if options.confidence and options.layout != "plain":
-        raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
+    check_output(source, options.layout, options.recombine, options.keep, options.alpha, options.confidence)
     check_other(source, estimates)
     check_pairs(source, estimates)
     second = open_second(options.second, source, options.preset, options.allow_gaps) if options.second else None

@@ -75,9 +75,7 @@ def denoise_offline(
     if len(sequence) > 1:
         sequence.require("motion")  # without it no other frame counts
     notes += told_of_samples(sequence, options.samples) + told_of_missing(sequence, False, source)
-    check_output(sequence, options.layout, options.recombine, options.keep, options.alpha)
-    if options.confidence and options.layout != "plain":
-        raise InputError("--confidence: goes with --layout plain; layout 'source' has the channels of the input only")
+    check_output(sequence, options.layout, options.recombine, options.keep, options.alpha, options.confidence)
     from .passes import Passes
 
     passes = Passes(options.model, options.device, options.precision)
