@@ -93,7 +93,13 @@ class Source:
         `samples` is what the files say, or else `spp`: methods that correct frames depend on it.
         """
         sequence = self.at(spp)
-        frames = Frames(self.length, lambda i: replace(sequence[i], **self.references(i)).with_samples(spp))
+        elsewhere = self.converged is not None or sequence is not self.base  # the references
+
+        def read(i: int) -> Frame:
+            frame = sequence[i].with_samples(spp)
+            return replace(frame, **self.references(i)) if elsewhere else frame
+
+        frames = Frames(self.length, read)
         check_references(frames)
         return frames
 
