@@ -131,7 +131,7 @@ class _Measured:
         judge, result = self.judge, self.result
         result.errors = judge.overall(result.frames)
         if judge.of_whole and result.frames:
-            references = [frame.reference for frame in judge.frames[judge.skip :]]
+            references = [judge.frames[i].reference for i in range(judge.skip, len(judge.frames))]
             result.errors["frame"]["fovvideovdp"] = measures.fovvideovdp(self.images, references, judge.scale)
         result.ghost_length = self.ghost.length if len(judge.frames) > 1 else math.nan
         return result

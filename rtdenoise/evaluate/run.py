@@ -136,8 +136,9 @@ class _Input:
                     if still is not None:
                         keep_picture(out, self.source, number, method.name, still)
         if pictured:
-            first = [frame.reference for frame in self.frames[:MAX_FRAMES]]
-            self._keep_strip(out, "reference", [self._kept(described, i, image)[0] for i, image in enumerate(first)])
+            first = range(min(MAX_FRAMES, len(self.frames)))
+            parts = [self._kept(described, i, self.frames[i].reference)[0] for i in first]
+            self._keep_strip(out, "reference", parts)
             for i in map(self.source.base.numbers.index, described["stills"]):
                 keep_truth(out, self.source, self.frames[max(0, i - 1) : i + 1])
         self.say(f"{self.label}: {counted(len(steps), 'method')} on {counted(len(self.frames), 'frame')}")
