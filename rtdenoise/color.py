@@ -63,7 +63,7 @@ def display_exposure(reference: Image) -> Tensor | float:
 
 
 def sampled_apart(values: int) -> int:
-    """Of so many values `display_exposure` looks at every how-manieth."""
+    """The step between those of so many values that `display_exposure` looks at."""
     return max(1, values // 1_000_000)
 
 
