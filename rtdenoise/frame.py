@@ -64,7 +64,7 @@ class Frame:
     reference         [B, 3, H, W]  the converged signal, for training and evaluation only
     reference_half    [B, 3, H, W]  the mean of one half of the reference's samples
     number, name      the frame's number, and its origin for messages
-    wide_filter       whether a pixel is the mean of more than its own square, as in frames of Cycles
+    mean_depth        whether depth and motion are means over a pixel's samples, as in frames of Cycles
 
     `step` needs radiance, albedo, normal, depth and, with a history, motion. Arrays `[H, W, C]` go into
     `rtdenoise.Denoiser` instead. Raises InputError where radiance has no four axes, ValueError where another layer does
@@ -85,7 +85,7 @@ class Frame:
     reference_half: Tensor | None = None
     number: int = 0
     name: str = ""
-    wide_filter: bool = False
+    mean_depth: bool = False
 
     def __post_init__(self) -> None:
         shape = tuple(getattr(self.radiance, "shape", ()))
@@ -253,6 +253,6 @@ def stack(frames: list[Frame]) -> Frame:
     import torch
 
     names = [layer for layer in CHANNELS if all(getattr(frame, layer) is not None for frame in frames)]
-    wide = all(frame.wide_filter for frame in frames)
+    mean = all(frame.mean_depth for frame in frames)
     layers = {name: torch.cat([getattr(frame, name) for frame in frames]) for name in names}
-    return Frame(**layers, number=frames[0].number, wide_filter=wide)
+    return Frame(**layers, number=frames[0].number, mean_depth=mean)

@@ -552,7 +552,7 @@ def test_what_cannot_be_described(tmp_path):
 def test_text_and_layout_are_one(tmp_path):
     layout, notes = describe(write(tmp_path / "shot", files('{}/a "b" ü.{{}}.exr')))
     path = tmp_path / "guessed.toml"
-    for wide in (False, True):
-        layout = replace(layout, wide_filter=wide)
+    for mean in (False, True):
+        layout = replace(layout, mean_depth=mean)
         path.write_text(layout_text(layout, notes))
         assert read_layout(path) == layout

@@ -230,8 +230,8 @@ def test_frames_of_another_pixel_filter_are_another_kind(device, assert_images_c
     denoiser = network(replace(small, many=True)).to(device)
     frames = [replace(f, motion=f.motion + 0.3).to(device) for f in make_frames(2, noise=0.3)]  # lookups off the pixel
     graph, (_, history) = recorded(denoiser, device), denoiser.step(frames[0])
-    for wide in (False, False, True, True):
-        frame = replace(frames[1], wide_filter=wide)
+    for mean in (False, False, True, True):
+        frame = replace(frames[1], mean_depth=mean)
         image, _ = graph.step(frame, history)
         assert_images_close(image.cpu(), denoiser.step(frame, history)[0].cpu(), tolerance(device))
     assert len(graph.recordings) == 2

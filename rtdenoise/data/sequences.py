@@ -109,8 +109,8 @@ class Sequence:
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = self.planes(i, {name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
-        wide = self.layout.wide_filter
-        frame = Frame(**layers, number=files.number, name=str(files.path), wide_filter=wide)
+        mean = self.layout.mean_depth
+        frame = Frame(**layers, number=files.number, name=str(files.path), mean_depth=mean)
         frame = self.beyond.joined(frame) if self.beyond else frame
         if veiled:
             frame = with_veiled(frame)

@@ -112,8 +112,8 @@ class HybridConfig(AccumulatedKPNConfig):
 
     @property
     def kernels_need_history(self) -> bool:
-        """Whether, behind a wide pixel filter, the kernels' picture shows only where a pixel around has a history: they
-        know none from training, and what is written from clean albedo and normal is better (docs/notes/many.md)."""
+        """Whether, in frames as those of Cycles (`Frame.mean_depth`), the kernels' picture shows only where a pixel
+        around has a history: what is written from clean albedo and normal is better there (docs/notes/many.md)."""
         return self.many and self.clean
 
     @property

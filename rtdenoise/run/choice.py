@@ -46,16 +46,16 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     sequence, options, notes = with_lens_if_lacking(sequence, options)
     notes = [*joined, *notes]
     sequence = with_region(sequence)
-    wide = sequence.layout.name == "cycles" and sequence.signal == "color"  # its pixel filter, and what it writes
+    cycles = sequence.layout.name == "cycles" and sequence.signal == "color"
     if options.samples == sequence.header.samples:
         options = replace(options, samples=0)  # what the files say, too, is the same run without
     samples = known_samples(sequence, options.samples)
     virtual = options.virtual_motion and sequence.signal == "color"  # indirect light ends at mirrors and panes
     fog = options.fog and sequence.signal == "color"  # indirect light is divided by the colour of what was hit
     sequence = replace(
-        sequence, soft_edges=wide and samples == 1 and not sequence.surfaces,
+        sequence, soft_edges=cycles and samples == 1 and not sequence.surfaces,
         virtual_motion=virtual and samples < MIXED, fog=fog, few_samples=0 < samples < MIXED,
-        lost_samples=wide and samples < MIXED, veiled=sequence.layout.name == "cycles" and samples < MIXED,
+        lost_samples=cycles and samples < MIXED, veiled=sequence.layout.name == "cycles" and samples < MIXED,
     )  # fmt: skip
     if not auto:
         return sequence, _with(options, options.model), notes
@@ -64,7 +64,7 @@ def open_chosen(source: str, options: Options, layers: tuple[str, ...] = ()) -> 
     few, many = candidates(options.backend, options.correct)
     best = (few, many) == BEST
     waits = not options.offline if options.lookahead == AUTO else options.lookahead > 0
-    if best and (waits or (options.offline and wide)):  # docs/notes/many.md, docs/notes/offline.md
+    if best and (waits or (options.offline and cycles)):  # docs/notes/many.md, docs/notes/offline.md
         many = CLEAN[1]
     because = f", because of {_reason(options)}" if (few, many) == KERNELS else ""
     if not samples and _has_little_noise(sequence):
