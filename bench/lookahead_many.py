@@ -1,4 +1,4 @@
-"""How good are `hybrid` and its kind at more samples a pixel, with two frames ahead and without?
+"""How good are `hybrid` and its kind at more samples a pixel, with frames ahead and without?
 
 python bench/lookahead_many.py SEQ ...    # SEQ/spp4, SEQ/spp8 ... hold the frames of SEQ at more samples
 
@@ -24,7 +24,7 @@ from rtdenoise.evaluate.run import run
 from rtdenoise.report.readings import label
 
 RESULT, OUT = RESULTS / "lookahead_many.json", ROOT / "out" / "lookahead_many"
-METHODS = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead2")
+METHODS = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead3")
 IN_BYTES = ("hybrid-many",)
 
 
