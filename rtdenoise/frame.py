@@ -232,6 +232,8 @@ class Known:
     ahead: tuple[Frame, ...] = ()
     # How far surfaces turn, or textures move over them, from each of those to the next, [B, 1, H, W] (`models.past`).
     turning: tuple[Tensor, ...] = ()
+    # All of them but the last as `History.recent` has frames, where light stays on surfaces (`models.past.coming`).
+    coming: tuple[Tensor, ...] = ()
     waits: bool = False  # the frame before had such, too: what is older counts even where its own light was another
 
 

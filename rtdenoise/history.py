@@ -125,7 +125,7 @@ def going_ahead(step: Step, advanced: Callable[[Frame, Frame], Tensor] = advance
             ahead.append(replace(other, depth=nearer(other.depth, -total)) if total.any() else other)
             before = other
         if any(a is not b for a, b in zip(ahead, known.ahead, strict=True)):
-            known = replace(known, turning=())
+            known = replace(known, turning=(), coming=())
         return step(frame, history, replace(known, sanitised=True, ahead=tuple(ahead)))
 
     return taken

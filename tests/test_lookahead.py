@@ -94,10 +94,12 @@ def test_of_many_frames_those_nearest_count():
 
 
 @pytest.mark.parametrize("side", [0, 64])
-def test_a_pair_of_frames_that_wait_is_compared_once(monkeypatch, side):
-    """And the picture is the same as where each step compares them anew, in tiles up to their rims."""
-    compared, ahead = [], 4
+def test_frames_that_wait_are_compared_and_kept_once(monkeypatch, side):
+    """The last one again, once the one after it is there. The picture is the same as where each step does so anew, in
+    tiles up to their rims."""
+    compared, packed, ahead, coming = [], [], 4, past.coming
     monkeypatch.setattr(past, "turning", lambda a, b, find=past.turning: compared.append(a.number) or find(a, b))
+    monkeypatch.setattr(past, "coming", lambda config, a, *how: packed.append(a.number) or coming(config, a, *how))
     backend, network = TorchBackend("hybrid", "cpu", "fp32", lookahead=ahead), models.load("hybrid", precision="fp32")
     if side:
         backend._step = backend._whole = Tiled(backend.network, side).step
@@ -106,9 +108,13 @@ def test_a_pair_of_frames_that_wait_is_compared_once(monkeypatch, side):
         image, history = backend.denoise(frame, history, tuple(shot[i + 1 : i + 1 + ahead]))
         assert compared == [*range(1, min(i + ahead, 7))]
         if not side:
+            first = i + ahead - 1 if i else 1
+            assert packed == [*range(min(first, 7), min(i + ahead, 7) + 1)] * (i < 7)
+            packed.clear()
             known = Known(sanitised=True, ahead=tuple(shot[i + 1 : i + 1 + ahead]), waits=True)
             with torch.inference_mode(), monkeypatch.context() as patch:
                 patch.setattr(past, "turning", turning)
+                patch.setattr(past, "coming", coming)
                 alone, expected = network.step(frame, expected, known)
             assert torch.equal(image, alone)
 

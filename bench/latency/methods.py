@@ -16,7 +16,7 @@ from rtdenoise import models, ops
 from rtdenoise.baselines.oidn import OidnFilter, filter_inputs
 from rtdenoise.frame import Frame, History, Known
 from rtdenoise.models.inference import INT8, prepare, resolve
-from rtdenoise.models.past import turning
+from rtdenoise.models.past import coming, turning
 from rtdenoise.models.settled import settled as finished
 from rtdenoise.models.weights import find, has_bytes
 from rtdenoise.run.graphs import Capture, Graphed
@@ -122,16 +122,23 @@ def settled(model: torch.nn.Module, frame: Frame) -> History:
 
 
 def stepping(model: torch.nn.Module, frame: Frame, history: History, ahead: int = 0) -> Callable[[], object]:
-    """A step of `denoise --lookahead`, the last of whose frames has just come: a run compares each pair of them once
-    (`rtdenoise.run.once`), and settles the picture before where it looks far enough ahead."""
+    """A step of `denoise --lookahead`, the last of whose frames has just come: a run compares each pair of them, and
+    packs the first one, once (`rtdenoise.run.once`), and settles the picture before where it looks far enough ahead."""
     settles = ahead >= SETTLES_FROM
-    coming = (ahead - settles) * (frame,)
-    known = [turning(*pair) for pair in pairwise(coming[:-1])]
+    waiting = (ahead - settles) * (frame,)
+
+    def found(first: Frame, second: Frame) -> tuple[torch.Tensor, torch.Tensor]:
+        turn = turning(first, second)
+        return turn, coming(model.config, first, turn)
+
+    known = [found(*pair) for pair in pairwise(waiting[:-1])]
 
     def step() -> object:
-        new = [turning(*coming[-2:])] if len(coming) > 1 else []
+        new = [found(*waiting[-2:])] if len(waiting) > 1 else []
+        turns, packed = zip(*known, *new, strict=True) if new else ((), ())
         model.keeps_trust = settles
-        image, after = model.step(frame, history, Known(ahead=coming, turning=(*known, *new), waits=ahead > 0))
+        told = Known(ahead=waiting, turning=turns, coming=packed, waits=ahead > 0)
+        image, after = model.step(frame, history, told)
         return finished(after, after) if settles else image
 
     return step

@@ -158,10 +158,18 @@ def later(config: Config, frame: Frame, known: Known) -> History | None:
     if not known.ahead:
         return None
     following, shift = known.ahead[0], None if known.shift is None else -known.shift
-    turns = known.turning or tuple(turning(a, b) for a, b in pairwise(known.ahead))
-    turns = *turns, torch.zeros_like(frame.depth)  # nothing is beyond the last
-    recent = tuple(kept(config, reverse(a), turn, shift=shift) for a, turn in zip(known.ahead, turns, strict=True))
-    return History(following.radiance, following.motion, following.depth, following.normal, recent=recent)
+    recent = known.coming if shift is None else ()
+    if not recent:
+        turns = known.turning or tuple(turning(a, b) for a, b in pairwise(known.ahead))
+        recent = tuple(coming(config, a, turn, shift) for a, turn in zip(known.ahead, turns, strict=False))
+    last = coming(config, known.ahead[-1], torch.zeros_like(frame.depth), shift)  # nothing is beyond it
+    return History(following.radiance, following.motion, following.depth, following.normal, recent=(*recent, last))
+
+
+def coming(config: Config, frame: Frame, turn: Tensor, shift: Tensor | None = None) -> Tensor:
+    """A frame ahead as `History.recent` has those before. `turn`: how far it turns to the one after it; `shift`: how
+    light moves over its surfaces on the way back."""
+    return kept(config, reverse(frame), turn, shift=shift)
 
 
 def turning(frame: Frame, following: Frame) -> Tensor:
@@ -287,5 +295,5 @@ def seen(
     if len(sides) < 2:
         return over(seen, now, sides[0][0], frame.depth, sides[0][1]) if sides else seen
     (a, of_a), (b, of_b) = (over_and_coverage(seen, now, motion, frame.depth, recent) for motion, recent in sides)
-    n, m = ((1 + c[:, 2:]) * (c != 0).any(1, keepdim=True) for c in (of_a, of_b))  # 0: `seen`, as there is no edge
+    n, m = ((1 + c[:, 2:]) * (c.amax(1, keepdim=True) > 0) for c in (of_a, of_b))  # 0: `seen`, as there is no edge
     return joined(a, n, b, m)[0]

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from ..constants import GLOW_REACH, GLOWS
 from .fetch import fetch
+from .pixels import within
 
 
 def away_from_glow(
@@ -39,4 +40,4 @@ def _most(albedo: Tensor) -> Tensor:
 
 def _is_dark(albedo: Tensor) -> bool:
     """Whether nothing shines; a GPU is not waited for."""
-    return albedo.device.type == "cpu" and not (albedo > GLOWS).any()
+    return albedo.device.type == "cpu" and within(albedo, 0.0, GLOWS)

@@ -18,7 +18,8 @@ DEMODULATE = Fused("pixels.demodulate", native=OF_DEMODULATE, triton=OF_DEMODULA
 MODULATE = Fused("pixels.modulate", native=OF_MODULATE, triton=OF_MODULATE)
 ACCUMULATE = Fused("pixels.accumulate", native=OF_ACCUMULATE, triton=OF_ACCUMULATE)
 NEARNESS = Fused("pixels.nearness", native=Support(), triton=Support())
-JOINED = Fused("pixels.joined", triton=Support(max_channels=9, channels={"n": (1,), "b": (0,), "m": (1,)}))
+OF_JOINED = Support(max_channels=9, channels={"n": (1,), "b": (0,), "m": (1,)})
+JOINED = Fused("pixels.joined", native=OF_JOINED, triton=OF_JOINED)
 WITHIN = Fused("pixels.within", native=Support())
 
 

@@ -101,7 +101,7 @@ class Graphed:
             return self.denoiser.step(frame, history, known)
         self._steps += 1
         given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
-        flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=(), turning=())
+        flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=(), turning=(), coming=())
         kind = (flags, frame.mean_depth), tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
             self._add(kind, given)

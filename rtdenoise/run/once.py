@@ -12,19 +12,21 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-LAYERS = "albedo", "normal", "depth", "motion", "motion_next"  # all but light, which is divided by other gains
+SURFACES = "albedo", "normal", "depth", "motion", "motion_next"  # without light, which is divided by other gains
 
 
 class Once:
-    """`find` of two frames by their `LAYERS`, whose last `most` results are kept. Frames are the same where these are
+    """`find` of two frames by their `layers`, whose last `most` results are kept. Frames are the same where these are
     the same tensors."""
 
-    def __init__(self, find: Callable[[Frame, Frame], Tensor], most: int) -> None:
-        self._find = find
+    def __init__(
+        self, find: Callable[[Frame, Frame], Tensor], most: int, layers: tuple[str, ...] = SURFACES
+    ) -> None:
+        self._find, self._layers = find, layers
         self._found: deque[tuple[list[Tensor | None], Tensor]] = deque(maxlen=most)
 
     def __call__(self, first: Frame, second: Frame) -> Tensor:
-        asked = [getattr(frame, name) for frame in (first, second) for name in LAYERS]
+        asked = [getattr(frame, name) for frame in (first, second) for name in self._layers]
         for known, result in self._found:
             if all(a is b for a, b in zip(known, asked, strict=True)):
                 return result

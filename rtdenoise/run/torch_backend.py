@@ -18,7 +18,7 @@ from ..frame import Frame, History, Known
 from ..models.presets import Config
 from .lookahead import SETTLES_FROM
 from .memory import explained
-from .once import Once
+from .once import SURFACES, Once
 from .plan import Plan, make_plan
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class TorchBackend:
         from ..models import load
         from ..models.hybrid import Hybrid
         from ..models.inference import choose_device
-        from ..models.past import of_many, turning
+        from ..models.past import coming, of_many, turning
         from .graphs import stepper
 
         self.device = choose_device(device)
@@ -75,6 +75,9 @@ class TorchBackend:
         self._step = self._whole = stepper(self._denoiser)
         self.waits = lookahead > 0  # `Known.waits`
         self._advanced, self._turning = Once(advanced, lookahead), Once(turning, lookahead)
+        self._coming = Once(
+            lambda a, b: coming(self.config, a, self._turning(a, b)), lookahead, ("radiance", *SURFACES)
+        )
 
     @property
     def config(self) -> Config:
@@ -121,8 +124,9 @@ class TorchBackend:
         step = self._step if len(frame.radiance) == 1 else self._whole  # the plan is for single pictures
         step = corrected(step) if self._correct else step
         with self._inference(frame):
-            turning = tuple(self._turning(a, b) for a, b in pairwise(ahead)) if self.device == "cpu" else ()
-            known = Known(sanitised=True, ahead=ahead, turning=turning, waits=self.waits)
+            pairs = tuple(pairwise(ahead)) if self.device == "cpu" else ()
+            turning, coming = (tuple(found(a, b) for a, b in pairs) for found in (self._turning, self._coming))
+            known = Known(sanitised=True, ahead=ahead, turning=turning, coming=coming, waits=self.waits)
             return going_ahead(step, self._advanced)(frame, history, known)
 
     def settled(self, frame: Frame, after: History, following: Frame, after_following: History) -> Tensor:

@@ -1,5 +1,6 @@
 // Ops in which every pixel stands alone. The specification is ops/pixels.py. C is the number of channels; GLOSS is that of
-// constants.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length and reset.
+// constants.py. Images are contiguous: [B, C, H, W], but [B, 1, H, W] for depth, sharp, length, reset and
+// numbers of frames.
 #include "common.h"
 
 // color.albedo_divisor
@@ -53,6 +54,21 @@ void accumulate(const float *const *new, const float *mean, const float *length,
                 o[x] = lerp(before, n[x], weight[x - from]);
             }
         }
+    }
+}
+
+void joined(const float *mean, const float *count, const float *other, const float *others, float *out, float *total, int B,
+            int64_t plane, int threads) {
+    EACH_BLOCK(B, plane) {
+        int64_t to = MIN(from + BLOCK, plane), first = b * C * plane;
+        const float *a = mean + first, *n = count + b * plane, *o = other + first, *m = others + b * plane;
+        float *to_mean = out + first, *to_count = total + b * plane, weight[BLOCK];
+        EACH_PIXEL {
+            to_count[x] = n[x] + m[x];
+            weight[x - from] = m[x] / MAX(to_count[x], 1e-6f);
+        }
+        for (int c = 0; c < C; c++, a += plane, o += plane, to_mean += plane)
+            EACH_PIXEL to_mean[x] = lerp(a[x], o[x], weight[x - from]);
     }
 }
 

@@ -37,6 +37,12 @@ def accumulate(
     return out[0], out[1]
 
 
+def joined(a: Tensor, n: Tensor, b: Tensor, m: Tensor) -> tuple[Tensor, Tensor]:
+    out, total = (torch.empty_like(t, memory_format=torch.contiguous_format) for t in (a, n))
+    _each_pixel("joined", [a, n, b, m], [out, total])
+    return out, total
+
+
 def nearness(depth: Tensor, distance: Tensor) -> Tensor:
     depth, out = depth.contiguous(), torch.empty_like(depth, memory_format=torch.contiguous_format)
     run, size = _library(1).nearness, c_int64(depth[0].numel())
