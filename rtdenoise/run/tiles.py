@@ -80,7 +80,7 @@ def step_in_windows(
             within,
             ahead=tuple(other.crop(top, left, *size) for other in known.ahead),
             turning=tuple(share[..., top:bottom, left:right] for share in known.turning),
-            coming=(),
+            coming=tuple(kept[..., top:bottom, left:right] for kept in known.coming),
         )
         part, part_history = denoiser.step(
             frame.crop(top, left, *size), before and _crop_history(before, window, frame.size), within

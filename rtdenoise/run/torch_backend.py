@@ -75,8 +75,9 @@ class TorchBackend:
         self._step = self._whole = stepper(self._denoiser)
         self.waits = lookahead > 0  # `Known.waits`
         self._advanced, self._turning = Once(advanced, lookahead), Once(turning, lookahead)
+        pairs = max(1, lookahead - self.settles - 1)  # of the frames that a step is given, each of as much memory
         self._coming = Once(
-            lambda a, b: coming(self.config, a, self._turning(a, b)), lookahead, ("radiance", *SURFACES)
+            lambda a, b: coming(self.config, a, self._turning(a, b)), pairs, ("radiance", *SURFACES)
         )
 
     @property
