@@ -30,8 +30,8 @@ RECALL_ROUNDING = 4e-4  # share of this frame's light that squared differences h
 RECALL_SAME = 2.0**-7  # values that differ by this share are the same: kept frames are bfloat16
 RECALL_NOISY = 0.25  # noise (`exposure.noise_level`) from which on lookups off the pixel count as far as they cover it
 RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many times 1 / noise - 1 / RECALL_NOISY, too
-RECALL_MISPLACED_MEAN = 0.2  # likewise where depth and motion are means over a pixel's samples
-RESET_MEAN = 0.5  # share of the network's reset that counts for footprints of many samples there
+RECALL_MISPLACED_MORE = 0.2  # likewise with `Frame.more_history`
+RESET_MORE = 0.5  # share of the network's reset that counts for footprints of many samples, likewise
 
 # Surfaces that are hit here and there, as they are out of focus (`ops.scattered`).
 SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most show its surface

@@ -64,7 +64,7 @@ class Frame:
     reference         [B, 3, H, W]  the converged signal, for training and evaluation only
     reference_half    [B, 3, H, W]  the mean of one half of the reference's samples
     number, name      the frame's number, and its origin for messages
-    mean_depth        whether depth and motion are means over a pixel's samples, as in frames of Cycles
+    more_history      whether networks for many samples take more history, as of frames of Cycles (docs/notes/many.md)
 
     `step` needs radiance, albedo, normal, depth and, with a history, motion. Arrays `[H, W, C]` go into
     `rtdenoise.Denoiser` instead. Raises InputError where radiance has no four axes, ValueError where another layer does
@@ -85,7 +85,7 @@ class Frame:
     reference_half: Tensor | None = None
     number: int = 0
     name: str = ""
-    mean_depth: bool = False
+    more_history: bool = False
 
     def __post_init__(self) -> None:
         shape = tuple(getattr(self.radiance, "shape", ()))
@@ -255,6 +255,6 @@ def stack(frames: list[Frame]) -> Frame:
     import torch
 
     names = [layer for layer in CHANNELS if all(getattr(frame, layer) is not None for frame in frames)]
-    mean = all(frame.mean_depth for frame in frames)
+    more = all(frame.more_history for frame in frames)
     layers = {name: torch.cat([getattr(frame, name) for frame in frames]) for name in names}
-    return Frame(**layers, number=frames[0].number, mean_depth=mean)
+    return Frame(**layers, number=frames[0].number, more_history=more)

@@ -553,6 +553,6 @@ def test_text_and_layout_are_one(tmp_path):
     layout, notes = describe(write(tmp_path / "shot", files('{}/a "b" ü.{{}}.exr')))
     path = tmp_path / "guessed.toml"
     for mean in (False, True):
-        layout = replace(layout, mean_depth=mean)
+        layout = replace(layout, more_history=mean)
         path.write_text(layout_text(layout, notes))
         assert read_layout(path) == layout

@@ -99,7 +99,7 @@ def test_twelve_frames_are_those_of_torch(weights, assert_images_close, model):
 def test_albedo_and_normal_are_seen_as_in_torch(assert_images_close, model):
     """By trained weights: a random network of this depth hardly tells one picture from another. Some albedo is
     beyond 1, as that of mirrors is in Cycles."""
-    frames = [replace(frame, albedo=2 * frame.albedo, mean_depth=True) for frame in make_frames(2, H=17, W=37)]
+    frames = [replace(frame, albedo=2 * frame.albedo, more_history=True) for frame in make_frames(2, H=17, W=37)]
     assert all((frame.albedo > 1).float().mean() > 0.1 for frame in frames)
     expected, found, _, _ = both(model, frames)
     assert_images_close(found, expected, "frame")
@@ -171,7 +171,7 @@ def test_a_wide_pixel_filter(weights, assert_images_close):
     for many in (False, True):
         model = weights(replace(HYBRID, many=many))
         narrow = both(model, frames)[0]
-        expected, found, _, _ = both(model, [replace(frame, mean_depth=True) for frame in frames])
+        expected, found, _, _ = both(model, [replace(frame, more_history=True) for frame in frames])
         assert_images_close(found, expected, "frame")
         assert np.allclose(expected, narrow, rtol=1e-3) != many
 

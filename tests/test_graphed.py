@@ -231,7 +231,7 @@ def test_frames_of_another_pixel_filter_are_another_kind(device, assert_images_c
     frames = [replace(f, motion=f.motion + 0.3).to(device) for f in make_frames(2, noise=0.3)]  # lookups off the pixel
     graph, (_, history) = recorded(denoiser, device), denoiser.step(frames[0])
     for mean in (False, False, True, True):
-        frame = replace(frames[1], mean_depth=mean)
+        frame = replace(frames[1], more_history=mean)
         image, _ = graph.step(frame, history)
         assert_images_close(image.cpu(), denoiser.step(frame, history)[0].cpu(), tolerance(device))
     assert len(graph.recordings) == 2

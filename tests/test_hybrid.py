@@ -429,12 +429,12 @@ def test_only_for_many_samples_noise_tells_how_far_lookups_off_the_pixel_count(m
 
 
 @pytest.mark.parametrize(("clean", "mean"), [(True, True), (True, False), (False, True)])
-def test_kernels_of_mean_depth_count_where_a_pixel_around_has_a_history(clean, mean, monkeypatch):
+def test_kernels_of_more_history_count_where_a_pixel_around_has_a_history(clean, mean, monkeypatch):
     """Of many samples, beside clean surfaces: in a first frame, or of a single picture, what is written shows alone."""
     trust = []
     monkeypatch.setattr(hybrid, "mix", lambda *a: trust.append(a[3]) or mix(*a))
     network = create(replace(SMALL, many=True, clean=clean)).eval()
-    frames = [replace(frame, mean_depth=mean) for frame in make_frames(2, H=16, W=80)]
+    frames = [replace(frame, more_history=mean) for frame in make_frames(2, H=16, W=80)]
     new = torch.where(torch.arange(80) < 32, OFF_SCREEN, frames[1].motion)  # the first two cells of five
     with torch.no_grad():
         play(network, [frames[0], replace(frames[1], motion=new)])
@@ -443,8 +443,8 @@ def test_kernels_of_mean_depth_count_where_a_pixel_around_has_a_history(clean, m
 
 
 @pytest.mark.parametrize(("many", "mean", "share"), [(True, True, 0.5), (True, False, 1.0), (False, True, 1.0)])
-def test_half_of_the_reset_of_many_samples_counts_for_footprints_of_mean_depth(many, mean, share):
-    frame = replace(make_frames(1)[0], mean_depth=mean)
+def test_half_of_the_reset_of_many_samples_counts_for_footprints_of_more_history(many, mean, share):
+    frame = replace(make_frames(1)[0], more_history=mean)
     config, one = replace(SMALL, many=many), torch.ones_like(frame.depth)
     nothing, shown = reprojected(config, frame, frame.radiance, None), torch.cat(footprint_of(frame), dim=1)
     past = replace(nothing, turned=0.2 * one, footprint=shown, footprint_count=4 * one)

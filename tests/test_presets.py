@@ -270,10 +270,10 @@ def test_a_channel_that_a_buffers_file_lacks_is_named(tmp_path):
 
 
 def test_a_preset_file_for_one_file_with_all_layers(tmp_path):
-    (tmp_path / "p.toml").write_text('mean_depth = true\n[color]\nchannels = ["a", "b", "c"]')
+    (tmp_path / "p.toml").write_text('more_history = true\n[color]\nchannels = ["a", "b", "c"]')
     write(tmp_path / "s" / "f.1.exr", buffers(0)["color"], "abc")
     frame = open_sequence(tmp_path / "s", preset=str(tmp_path / "p.toml"))[0]
-    assert is_close(frame.radiance, buffers(0)["color"]) and frame.mean_depth
+    assert is_close(frame.radiance, buffers(0)["color"]) and frame.more_history
 
 
 def test_recombined_into_the_files_of_both_signals(tmp_path, model):
@@ -312,7 +312,7 @@ def test_recombined_into_the_files_of_both_signals(tmp_path, model):
         ('[depth]\nchannels = ["Z"]\nfile = "{spp}{spp}.{frame}.exr"', "[depth] file is '{spp}{spp}.{frame}.exr', exp"),
         ('[depth]\nchannels = ["Z"]\nfile = "../{frame}.exr"', "[depth] file is '../{frame}.exr', expected a pattern"),
         ('[depth]\nchannels = ["Z"]\nfile = "{take}.{frame}.exr"', "[depth] file is '{take}.{frame}.exr', expected a"),
-        ("mean_depth = 1", "mean_depth is 1, expected true or false"),
+        ("more_history = 1", "more_history is 1, expected true or false"),
         ('demodulated = "indirect"', "demodulated is 'indirect', expected a list of color, indirect"),
         ("[colour]\nchannels = []", "unknown layer 'colour' (did you mean 'color'?); known are color, "),
         ("color = 3", "color is 3, expected a table [color]"),

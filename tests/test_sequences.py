@@ -116,7 +116,7 @@ def test_cycles_passes_become_the_canon(tmp_path):
     color = open_sequence(tmp_path, layers=["position", "id"])
     assert color.layout.name == "cycles" and not color.demodulated
     frame = color[0]
-    assert frame.mean_depth and not open_sequence(write_native(tmp_path / "own", [1]))[0].mean_depth
+    assert frame.more_history and not open_sequence(write_native(tmp_path / "own", [1]))[0].more_history
     assert torch.equal(frame.radiance, stacked(planes, "Noisy Image.R", "Noisy Image.G", "Noisy Image.B"))
     assert torch.equal(frame.albedo, stacked(planes, *(f"Denoising Albedo.{c}" for c in "RGB")))
     assert torch.equal(frame.normal, stacked(planes, "Normal.X", "Normal.Y", "Normal.Z"))  # in world space

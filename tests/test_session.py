@@ -337,11 +337,11 @@ def test_the_choices_in_the_docs_are_there():
 def test_a_wide_pixel_filter_is_known_to_the_network(assert_images_close):
     frames = [replace(frame, motion=frame.motion + 0.3) for frame in make_frames(2, noise=0.3)]  # lookups off the pixel
     options = {"convert": pictures, "model": "hybrid-many", "precision": "fp32"}
-    wide, narrow = (play(frames, mean_depth=known, **options)[-1] for known in (True, False))
+    wide, narrow = (play(frames, more_history=known, **options)[-1] for known in (True, False))
     network, history = models.load("hybrid-many", precision="fp32"), None
     with torch.inference_mode():
         for frame in frames:
-            expected, history = network.step(replace(frame, mean_depth=True), history)
+            expected, history = network.step(replace(frame, more_history=True), history)
     assert_images_close(np.moveaxis(wide, 2, 0)[None], expected, "float32 network")
     assert not np.allclose(wide, narrow, rtol=1e-3)
 

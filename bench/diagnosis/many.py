@@ -59,12 +59,12 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
 
 def before(run: Callable, frames: list[Frame], *ahead: int) -> list[Tensor]:
     """Pictures of `hybrid-large-many` with kernels also where no history is, and with the whole reset."""
-    share, past.RESET_MEAN = past.RESET_MEAN, 1.0
+    share, past.RESET_MORE = past.RESET_MORE, 1.0
     needs, HybridConfig.kernels_need_history = HybridConfig.kernels_need_history, False
     try:
         return run(frames, "hybrid-large-many", *ahead)
     finally:
-        past.RESET_MEAN, HybridConfig.kernels_need_history = share, needs
+        past.RESET_MORE, HybridConfig.kernels_need_history = share, needs
 
 
 def read(shot: Path, references: Path) -> list[Frame]:

@@ -97,7 +97,7 @@ class Layout:
     cameras: str = "scene.json"  # the file beside the frames that may hold cameras and transforms
     beauty: tuple[Rule, ...] = ()  # where the finished picture belongs; empty: where `color` is read from
     path: Rule | None = None  # length of the path to what is seen in mirrors and through glass (`virtual_motion`)
-    mean_depth: bool = False  # depth and motion are means over a pixel's samples
+    more_history: bool = False  # that of `Frame`
     fog: Mapping[str, tuple[Rule, ...]] = field(default_factory=dict)  # light of volumes and of the "sky" (`with_fog`)
     like: str = ""  # a preset, whose layers count where this has none (`recognise.settled`)
 

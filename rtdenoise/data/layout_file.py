@@ -3,7 +3,7 @@
     name = "tracer"
     like = "cycles"                      # what is not described here is as in this preset; leave out for other programs
     demodulated = ["indirect"]           # signals that are already divided by the albedo
-    mean_depth = true                    # depth and motion are means over a pixel's samples (`Frame.mean_depth`)
+    more_history = true                  # `Frame.more_history`
 
     [color]
     channels = ["R", "G", "B"]
@@ -59,14 +59,14 @@ def parse_layout(text: str, path: Path) -> Layout:
     except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
         raise InputError(f"{path}: not valid TOML: {error}") from None
     name = document.pop("name", path.stem)
-    demodulated, mean_depth = document.pop("demodulated", []), document.pop("mean_depth", False)
+    demodulated, more_history = document.pop("demodulated", []), document.pop("more_history", False)
     like = document.pop("like", "")
     if not isinstance(name, str):
         raise InputError(f"{path}: name is {repr(name)}, expected a string")
     if not isinstance(demodulated, list) or not all(signal in list(SIGNALS) for signal in demodulated):
         raise InputError(f"{path}: demodulated is {repr(demodulated)}, expected a list of {', '.join(SIGNALS)}")
-    if not isinstance(mean_depth, bool):
-        raise InputError(f"{path}: mean_depth is {repr(mean_depth)}, expected true or false")
+    if not isinstance(more_history, bool):
+        raise InputError(f"{path}: more_history is {repr(more_history)}, expected true or false")
     if not isinstance(like, str):
         raise InputError(f"{path}: like is {repr(like)}, expected the name of a preset")
     layers = {layer: _rule(path, layer, table) for layer, table in document.items()}
@@ -83,7 +83,7 @@ def parse_layout(text: str, path: Path) -> Layout:
         with_components({layer: (rule.of_buffer(layer) if files else rule,) for layer, rule in layers.items()}),
         demodulated=frozenset(demodulated),
         buffers={layer: (pattern,) for layer, pattern in files.items()},
-        mean_depth=mean_depth,
+        more_history=more_history,
         like=like,
     )
 
@@ -91,7 +91,7 @@ def parse_layout(text: str, path: Path) -> Layout:
 def layout_text(layout: Layout, notes: Mapping[str, str]) -> str:
     """A layout, whose layers have one rule each, as the text of a file that `read_layout` reads. `notes`: a line about
     a layer, also about one that is not described, for whoever edits it."""
-    lines = [f"name = {_text(layout.name)}", *(["mean_depth = true"] if layout.mean_depth else [])]
+    lines = [f"name = {_text(layout.name)}", *(["more_history = true"] if layout.more_history else [])]
     lines += [f"like = {_text(layout.like)}"] if layout.like else []
     for layer, (rule,) in layout.layers.items():
         if layer not in COUNTS:  # made of others

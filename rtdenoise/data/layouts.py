@@ -96,7 +96,7 @@ def cycles(view_layer: str) -> Layout:
         demodulated=frozenset({"indirect"}),
         beauty=rules(f"{p}Combined", "RGB"),
         path=Rule((f"{p}Denoising Depth.Z",), (1,)),
-        mean_depth=True,
+        more_history=True,
         fog={
             "direct": rules(f"{p}Volume Direct|{p}VolumeDir", "RGB"),
             "indirect": rules(f"{p}Volume Indirect|{p}VolumeInd", "RGB"),

@@ -72,8 +72,8 @@ def settled(layout: Layout, header: ExrHeader) -> Layout:
     if preset not in ONE_FILE:
         raise InputError(f"preset {layout.name}: like is '{layout.like}', expected {', '.join(ONE_FILE)}")
     base = LAYOUTS[preset] if preset in LAYOUTS else find(layout.like, header)
-    own = layout.demodulated | base.demodulated, layout.mean_depth or base.mean_depth
-    return replace(base, layers={**base.layers, **layout.layers}, demodulated=own[0], mean_depth=own[1])
+    own = layout.demodulated | base.demodulated, layout.more_history or base.more_history
+    return replace(base, layers={**base.layers, **layout.layers}, demodulated=own[0], more_history=own[1])
 
 
 def detect(header: ExrHeader) -> Layout:

@@ -109,8 +109,8 @@ class Sequence:
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = self.planes(i, {name for rule in read for name in rule.channels})
         layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
-        mean = self.layout.mean_depth
-        frame = Frame(**layers, number=files.number, name=str(files.path), mean_depth=mean)
+        more = self.layout.more_history
+        frame = Frame(**layers, number=files.number, name=str(files.path), more_history=more)
         frame = self.beyond.joined(frame) if self.beyond else frame
         if veiled:
             frame = with_veiled(frame)

@@ -38,7 +38,7 @@ class Inputs(NamedTuple):
     surface: GpuArray  # [H, W] normal, depth
     guide: GpuArray  # [H, W] albedo, and whether light was divided by it
     statistics: GpuArray  # [2] exposure, mean distance
-    mean_depth: bool = False  # of `Frame`
+    more_history: bool = False  # of `Frame`
 
 
 class Means(NamedTuple):
@@ -63,10 +63,10 @@ class Passes:
             self._network = UNet(scratch, tensors, config.features, config.widths)
 
     def prepare(
-        self, layers: Mapping[str, GpuArray], into_history: bool = False, mean_depth: bool = False
+        self, layers: Mapping[str, GpuArray], into_history: bool = False, more_history: bool = False
     ) -> Inputs:
         """Sanitise the layers and measure the frame. `into_history`: history will keep light and guide, as it keeps
-        surface, so they need buffers of their own. `mean_depth`: that of `Frame`."""
+        surface, so they need buffers of their own. `more_history`: that of `Frame`."""
         H, W = layers["radiance"].shape[1:]
         blocks_size = _cells((H, W), BRIGHTNESS_BLOCK)
         count = blocks_size[0] * blocks_size[1]
@@ -86,7 +86,7 @@ class Passes:
         dispatch("frame/light", size, buffers, group=BLOCK_GROUP)
         buffers = {"blocks": blocks, "statistics": statistics}
         dispatch("frame/statistics", (1,), buffers, {"count": count}, SELECT_GROUP)
-        return Inputs(light, surface, guide, statistics, mean_depth)
+        return Inputs(light, surface, guide, statistics, more_history)
 
     def vectors(self, layers: Mapping[str, GpuArray]) -> GpuArray | None:
         """Sanitised motion and motion_next as one image; None if both are missing. If one is missing, the other fills

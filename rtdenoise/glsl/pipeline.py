@@ -104,7 +104,7 @@ class Pipeline:
         try:
             with self._stage("upload"):
                 layers = self.upload(frame, history)
-            result, history = self.run(layers, history, known, frame.mean_depth, waits=True)
+            result, history = self.run(layers, history, known, frame.more_history, waits=True)
         except GpuMemoryError as error:
             H, W = frame.size
             raise InputError(
@@ -129,7 +129,7 @@ class Pipeline:
         layers: Mapping[str, GpuArray],
         history: History | None = None,
         known: Known = NOTHING_KNOWN,
-        mean_depth: bool = False,  # of `Frame`
+        more_history: bool = False,  # of `Frame`
         waits: bool = False,
     ) -> tuple[GpuArray, History]:
         """`step` on layers [C, H, W] that are on the GPU already. The image [3, H, W] is overwritten by the next call,
@@ -139,7 +139,7 @@ class Pipeline:
         follows = averages and history.noisy is not None and not known.on_surfaces
         dual = not first and not known.covered and self.config.motion == "dual"
         with self._stage("features"):
-            inputs = passes.prepare(layers, self.accumulates and first, mean_depth)
+            inputs = passes.prepare(layers, self.accumulates and first, more_history)
             level = passes.recent.level(inputs)
             vectors = passes.vectors(layers)
             looks = waits and not (first or known.still)

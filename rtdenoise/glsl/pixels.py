@@ -63,7 +63,7 @@ class Pixels:
         dispatch("hybrid/written", size, buffers, {"padded": padded}, USUAL=usual, **half)
         buffers = {"written": written, "past": past, "seen": seen, "cells": cells, "told": told}
         buffers |= {"statistics": statistics, "denoised": denoised, "mixed": mixed}
-        needs = {"NEEDS_HISTORY": int(self._needs_history and inputs.mean_depth)}
+        needs = {"NEEDS_HISTORY": int(self._needs_history and inputs.more_history)}
         dispatch("hybrid/mix", size, buffers, USUAL=usual, BEFORE=before, LEAST=least, **needs)
         buffers = {"mixed": mixed, "surface": inputs.surface, "past": past, "seen": seen}
         buffers |= {"denoised": denoised, "result": result}

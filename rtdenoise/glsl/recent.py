@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..constants import NOISE_WINDOW, NOISE_WINDOWS, RECALL_CELL, RECALL_FOOTPRINT_WORDS, RECALL_WORDS, RESET_MEAN
+from ..constants import NOISE_WINDOW, NOISE_WINDOWS, RECALL_CELL, RECALL_FOOTPRINT_WORDS, RECALL_WORDS, RESET_MORE
 from .context import GpuArray
 from .dispatch import SELECT_GROUP, dispatch, fill
 from .scratch import Scratch
@@ -92,7 +92,7 @@ class Recent:
         shown = self._scratch("seen", (3, *size, 4)) if seen is None else seen
         buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "past": past, "seen": shown}
         buffers |= {"reset": reset or past, "turned": turned or past}
-        counts = RESET_MEAN if inputs.mean_depth and not self._few else 1.0
+        counts = RESET_MORE if inputs.more_history and not self._few else 1.0
         kinds = {"ALONE": int(seen is None), "TURNS": int(turned is not None)}
         dispatch("hybrid/see", size[::-1], buffers, RESET=counts, **kinds)
         return shown
@@ -130,6 +130,6 @@ class Recent:
             buffers = {"light": inputs.light, "guide": inputs.guide, "surface": inputs.surface, "relative": relative}
             dispatch("hybrid/noise", windows[::-1], buffers, {"image_size": (W, H)})
         buffers, parameters = {"relative": relative, "level": level}, {"count": windows[0] * windows[1]}
-        kinds = {"FEW": int(self._few), "MEAN": int(inputs.mean_depth)}
+        kinds = {"FEW": int(self._few), "MORE": int(inputs.more_history)}
         dispatch("hybrid/level", (1,), buffers, parameters, SELECT_GROUP, **kinds)
         return level

@@ -55,7 +55,7 @@ class Hybrid(AccumulatedKPN):
             # Filter by kernels, and average.
             image, after, kernels = super().step_and_kernels(frame, history, replace(known, sanitised=True))
             past, held, trust = kernels.past, kernels.past.held, kernels.trust
-            if self.needs_history and frame.mean_depth:
+            if self.needs_history and frame.more_history:
                 trust = trust * (greatest_around(after.footprint_count) - 1).clamp(0, 1)
 
             # Show the other network what has been seen in each pixel.

@@ -112,7 +112,7 @@ class HybridConfig(AccumulatedKPNConfig):
 
     @property
     def kernels_need_history(self) -> bool:
-        """Whether, in frames as those of Cycles (`Frame.mean_depth`), the kernels' picture shows only where a pixel
+        """Whether, in frames as those of Cycles (`Frame.more_history`), the kernels' picture shows only where a pixel
         around has a history: what is written from clean albedo and normal is better there (docs/notes/many.md)."""
         return self.many and self.clean
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ..constants import OUTDATED_PICTURE, RECALL_BOTH_SIDES, RECALL_SAME, RESET_MEAN
+from ..constants import OUTDATED_PICTURE, RECALL_BOTH_SIDES, RECALL_SAME, RESET_MORE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
 from ..ops import reproject, warp
@@ -213,7 +213,7 @@ def misplaced(config: Config, frame: Frame, known: Known) -> Tensor | None:
     if not (config.footprint and getattr(config, "many", True)):
         return None
     noise = noise_level(frame.radiance, frame.depth) if known.noise is None else known.noise
-    return off_pixel(noise, frame.mean_depth)
+    return off_pixel(noise, frame.more_history)
 
 
 def shifted(frame: Frame, history: History | None, known: Known) -> Known:
@@ -262,9 +262,9 @@ def kept(
 
 
 def reset_of_footprint(config: Config, frame: Frame, past: Past, said: Tensor, reset: Tensor) -> Tensor:
-    """How far footprints give way: `reset`, as light does. Where depth and motion are means (`Frame.mean_depth`),
-    half of what a network for many samples `said` counts: it has learnt from other frames (docs/notes/many.md)."""
-    return past.giving_way(RESET_MEAN * said) if of_many(config) and frame.mean_depth else reset
+    """How far footprints give way: `reset`, as light does. With `Frame.more_history` half of what a network for many
+    samples `said` counts (docs/notes/many.md)."""
+    return past.giving_way(RESET_MORE * said) if of_many(config) and frame.more_history else reset
 
 
 def footprint(frame: Frame, past: Past, reset: Tensor) -> tuple[Tensor, Tensor]:

@@ -102,7 +102,7 @@ class Graphed:
         self._steps += 1
         given = _tensors(frame, history, known, (*LAYERS, *self.denoiser.config.reads))
         flags = replace(known, exposure=None, distance=None, noise=None, shift=None, ahead=(), turning=(), coming=())
-        kind = (flags, frame.mean_depth), tuple(_description(name, tensor) for name, tensor in given.items())
+        kind = (flags, frame.more_history), tuple(_description(name, tensor) for name, tensor in given.items())
         if kind not in self.recordings and kind in self._seen and self._room():
             self._add(kind, given)
         if kind in self.recordings:
@@ -143,7 +143,7 @@ class RecordedStep:
     def __init__(
         self,
         denoiser: nn.Module,
-        flags: tuple[Known, bool],  # and `Frame.mean_depth`
+        flags: tuple[Known, bool],  # and `Frame.more_history`
         given: dict[str, Tensor],
         read: dict[Hashable, Tensor],
         record: Recorder,
@@ -224,7 +224,7 @@ def _tensors(frame: Frame, history: History | None, known: Known, read: Collecti
 
 
 def _arguments(
-    tensors: dict[str, Tensor], known: Known, mean_depth: bool
+    tensors: dict[str, Tensor], known: Known, more_history: bool
 ) -> tuple[Frame, History | None, Known]:
     """The arguments of a step that reads these tensors, with these flags."""
 
@@ -233,4 +233,4 @@ def _arguments(
 
     past, count = of("history."), len({name.partition(".")[0] for name in tensors if name.startswith("ahead")})
     known = replace(known, **of("known."), ahead=tuple(Frame(**of(f"ahead{i}.")) for i in range(count)))
-    return Frame(**of("frame."), mean_depth=mean_depth), History.from_layers(past) if past else None, known
+    return Frame(**of("frame."), more_history=more_history), History.from_layers(past) if past else None, known

@@ -34,9 +34,9 @@ class Options:
     model: str = AUTO
     """The network: 'hybrid', 'hybrid-many', 'hybrid-fast', 'hybrid-large', 'hybrid-large-many', 'default', 'many',
     'fast', 'paper', or a .safetensors file that `rtdenoise train` wrote. 'auto': 'hybrid', and from 4 samples a pixel
-    on, where their number is known or noise is little, 'hybrid-large-many', with --lookahead 0 and --offline
-    'hybrid-many'. 'hybrid-large' where the first frame of Cycles shows much water or glass. With glsl and --correct
-    'default' and 'many', which take less than half of the time."""
+    on, where their number is known or noise is little, 'hybrid-large-many'; 'hybrid-many' with --lookahead 0, and with
+    --offline but for frames of Cycles. 'hybrid-large' where the first frame of Cycles shows much water or glass. With
+    glsl and --correct 'default' and 'many', which take less than half of the time."""
     preset: str = "auto"
     """Layout of the input: 'auto', 'native', 'cycles', 'mitsuba', 'falcor', 'bmfr', 'oidn', 'noisebase', or a .toml
     file."""

@@ -60,7 +60,7 @@ class Denoiser:
         correct: bool = False,
         samples: int = 0,
         lookahead: int = 0,
-        mean_depth: bool = False,
+        more_history: bool = False,
     ) -> None:
         """`model` is the name of a model that ships ('hybrid', 'default', 'fast' ...) or a .safetensors file; 'auto'
         makes the best picture: 'hybrid', or from 4 `samples` a pixel on 'hybrid-many'; with glsl and `correct`
@@ -73,8 +73,8 @@ class Denoiser:
         and makes history as bright (with PyTorch). `correct` corrects each frame by the noisy ones before it, for 4
         samples a pixel and more; `samples` says how many there are, so that edges are corrected, too. With `lookahead`
         each frame is denoised with so many frames after it: a call returns the picture of the frame so many calls
-        before, None at first, and `flush` the last ones. `mean_depth`: depth and motion are means over a pixel's
-        samples, not those of one of them; networks for many samples take more history then.
+        before, None at first, and `flush` the last ones. `more_history`: networks for many samples take more history,
+        as of frames of Cycles.
 
         Raises InputError for an unknown model, backend, device or precision, a correction without torch, `samples`
         beyond all sense or that nothing goes by, and a `lookahead` out of range or with a model that averages no light.
@@ -93,7 +93,7 @@ class Denoiser:
         opened = open_backend(backend, str(model), device, precision, correct, lookahead=lookahead)
         self._backend = Following(opened, detect_exposure)
         self._samples, self._history = samples if correct else 0, None
-        self._mean_depth = mean_depth
+        self._more_history = more_history
         self._delayed = None  # with `lookahead`; then the history is that of cuts alone
         if lookahead:
             from .lookahead import Delayed
@@ -169,8 +169,8 @@ class Denoiser:
                 self._say(name, f"no {name}: {COSTS[name]}")
         if "motion_next" not in layers and "motion" in layers:
             self._say("motion_next", f"no motion_next: {COSTS['motion_next']}")
-        name, mean = f"frame {self._count}", self._mean_depth
-        frame = Frame(radiance, **layers, number=self._count, name=name, mean_depth=mean)
+        name, more = f"frame {self._count}", self._more_history
+        frame = Frame(radiance, **layers, number=self._count, name=name, more_history=more)
         return with_stand_ins(frame.with_samples(self._samples))
 
     def _kept(self, frame: Frame, before: Any) -> Any:

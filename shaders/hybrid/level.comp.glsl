@@ -2,8 +2,8 @@
 // How much less lookups off the pixel count (models.past.misplaced; of FEW samples as much as others), and how far light is
 // evened, from the noise of a frame (exposure.noise_level): the median over windows of NOISE_WINDOW² pixels, all of which hit
 // something, of the variance of their light over the square of its mean. One work group for all windows, whose values are in
-// `relative`; below 0 there is none. MEAN: Frame.mean_depth.
-#pragma constants FEW MEAN EVENED_NOISE RECALL_NOISY RECALL_MISPLACED RECALL_MISPLACED_MEAN
+// `relative`; below 0 there is none. MORE: Frame.more_history.
+#pragma constants FEW MORE EVENED_NOISE RECALL_NOISY RECALL_MISPLACED RECALL_MISPLACED_MORE
 #pragma parameters int count
 #pragma reads float relative    // [count]
 #pragma writes float level      // [2] how much less lookups count, in [0, 1] how far light is evened
@@ -24,7 +24,7 @@ void main() {
     barrier();
     uint equals, rank = (max(valid, 1u) - 1u) / 2u;
     float noise = select(count, rank, equals);
-    float share = MEAN == 1 ? RECALL_MISPLACED_MEAN : RECALL_MISPLACED;
+    float share = MORE == 1 ? RECALL_MISPLACED_MORE : RECALL_MISPLACED;
     if (lane == 0) {
         level[0] = FEW == 1 ? 0.0 : share * max(1.0 / max(noise, 1e-6) - 1.0 / RECALL_NOISY, 0.0);
         level[1] = min(noise / EVENED_NOISE, 1.0);
