@@ -221,6 +221,17 @@ def test_without_half_references_nothing_is_corrected(tmp_path, capsys):
     assert document.sequences["shot"]["reference_psnr"] is None
 
 
+def test_it_ends_with_a_table_of_what_was_measured(shot, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "200")
+    main(["evaluate", str(shot), "--out", str(tmp_path), "--methods", "noisy", "--metrics", "psnr", "ssim"])
+    (row,), told = Document.read(tmp_path).results, capsys.readouterr().out
+    (line,) = (line.split() for line in told.splitlines() if line.split()[2:3] == ["noisy"])
+    psnr, ssim = ({region: row["errors"][region][m] for region in ("frame", "uncovered")} for m in ("psnr", "ssim"))
+    shown = [f"{psnr['frame']:.2f}", f"{psnr['uncovered']:.2f}", f"{ssim['frame']:.3f}"]
+    assert line == [shot.name, "1", "noisy", *shown, f"{row['ms']['median']:.0f}"]
+    assert "SSIM" in told and "FLIP" not in told and "corrected" not in told
+
+
 def test_metrics_can_be_chosen_and_what_is_missing_is_added(shot, tmp_path, monkeypatch):
     out = tmp_path / "out"
     main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "ssim"])

@@ -52,12 +52,14 @@ class Evaluate:
             self._measure(signal, self.out / signal if self.signal == "both" else self.out)
 
     def _measure(self, signal: str, out: Path) -> None:
+        from rich.console import Console
         from rich.progress import TextColumn
 
         from ..evaluate.options import EvaluateOptions
         from ..evaluate.registry import choose
         from ..evaluate.run import run
         from ..models.inference import automatic, choose_device
+        from ..report.summary import summary
 
         options = EvaluateOptions(
             split_names(self.methods), split_names(self.precision), split_names(self.metrics), self.spp, signal,
@@ -80,4 +82,5 @@ class Evaluate:
                   f"faster: --precision {own} measures that")  # fmt: skip
         if not document.results:
             raise InputError(f"{out}: nothing was measured, for the reasons above")
+        Console().print(summary(document.results))
         print(f"{out}: {counted(len(document.results), 'result')}; `rtdenoise report {out}` draws them")

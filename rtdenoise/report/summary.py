@@ -1,0 +1,43 @@
+"""What `evaluate` measured, as a table for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich import box
+from rich.table import Table
+
+from .readings import METRICS, label
+
+SHOWN = {"psnr_corrected": "psnr", "ssim": "", "relmse": "", "flip": ""}  # or what stands for it where it is unknown
+REGIONS = ("frame", "uncovered")
+
+
+def summary(rows: Sequence[dict]) -> Table:
+    """`rows`: those of `document.Document.results`, a line each. Decibels over both regions, others over the frame;
+    metrics that were not measured have no column."""
+    metrics = [m for pair in SHOWN.items() for m in _known(pair, rows)]
+    columns = [(m, region) for m in metrics for region in REGIONS if region == "frame" or METRICS[m].unit == "dB"]
+    table = Table(box=box.SIMPLE)
+    for name in ("sequence", "spp", "method"):
+        table.add_column(name, justify="right" if name == "spp" else "left", no_wrap=True)
+    for metric, region in columns:
+        table.add_column(f"{METRICS[metric].label}\n{region}", justify="right", no_wrap=True)
+    table.add_column("ms", justify="right", no_wrap=True)
+    for row in rows:
+        errors = [_shown(row["errors"][region].get(metric), METRICS[metric].digits) for metric, region in columns]
+        table.add_row(row["sequence"], str(row["spp"]), label(row), *errors, f"{row['ms']['median']:.0f}")
+    return table
+
+
+def _known(names: tuple[str, str], rows: Sequence[dict]) -> list[str]:
+    """The first of a metric and its stand-in that any row has a number of."""
+    return [m for m in names if any(_is_number(row["errors"]["frame"].get(m)) for row in rows)][:1]
+
+
+def _shown(value: float | None, digits: int) -> str:
+    return f"{value:.{digits}f}" if _is_number(value) else "–"
+
+
+def _is_number(value: float | None) -> bool:
+    return value is not None and value == value
