@@ -153,4 +153,48 @@ def asphalt() -> bpy.types.Material:
     return made
 
 
-MATTER_SETS = {"canopy": build_canopy, "wax": build_wax, "wet": build_wet}
+def build_dappled(scene: bpy.types.Scene, frames: int) -> None:
+    """A bust that turns before a papered wall, in sun that falls through leaves out of sight, which sway."""
+    draw = random.Random(4)
+    box("wall", (0, 2.2, 1.5), (8, 0.1, 5), material("paper", (0.75, 0.7, 0.6), (0.45, 0.5, 0.42), 9))
+    box("floor", (0, 0, -0.05), (8, 6, 0.1), material("floor", (0.3, 0.2, 0.1), (0.5, 0.4, 0.3), 4))
+    bpy.ops.mesh.primitive_monkey_add(size=1.7, location=(0.1, 0.4, 1.2))
+    face = bpy.context.object
+    face.modifiers.new("smooth", "SUBSURF").render_levels = 2
+    bpy.ops.object.shade_smooth()
+    skin = {"Base_Color": (0.75, 0.48, 0.36, 1), "Roughness": 0.45, "Subsurface_Weight": 0.3, "Subsurface_Scale": 0.05}
+    face.data.materials.append(plain_material("skin", **skin))
+    for k in range(frames + 2):
+        face.rotation_euler = math.radians(-12), 0, math.radians(12 + 0.7 * k)
+        face.keyframe_insert("rotation_euler", frame=k)
+    box("scarf", (0.1, 0.5, 0.25), (1.3, 0.8, 0.5), material("scarf", (0.6, 0.05, 0.08), (0.9, 0.75, 0.2), 14))
+    crowns = []
+    for c in range(3):
+        crown = bpy.data.objects.new(f"crown {c}", None)
+        scene.collection.objects.link(crown)
+        crowns.append(crown)
+        for k in range(frames + 2):
+            crown.location = 0.07 * math.sin(0.7 * k + c) + 0.05 * k * (c == 1), 0, 0.05 * math.cos(0.6 * k + 2 * c)
+            crown.keyframe_insert("location", frame=k)
+    bpy.ops.mesh.primitive_plane_add(size=1)
+    leaf = bpy.context.object
+    leaf.data.materials.append(plain_material("leaf", Base_Color=(0.1, 0.3, 0.05, 1)))
+    for n in range(420):
+        other = bpy.data.objects.new(f"leaf {n}", leaf.data)
+        scene.collection.objects.link(other)
+        other.parent, away = crowns[n % 3], draw.uniform(2.6, 4.2)
+        x, y, z = draw.uniform(-2.4, 2.4), draw.uniform(-2.2, 1.6), draw.uniform(-0.8, 1)
+        other.location = x + 0.72 * away, y - 0.55 * away, 1.2 + z + 0.75 * away  # towards the sun
+        other.rotation_euler = [draw.uniform(0, 3) for _ in range(3)]
+        other.scale = [draw.uniform(0.1, 0.32), draw.uniform(0.08, 0.2), 1]
+    bpy.data.objects.remove(leaf)
+    sunlight((math.atan2(0.55, 0.75), math.atan2(0.72, 0.93), 0), 0.012)
+    bpy.context.object.data.energy = 2.5
+    sky(scene, (0.07, 0.09, 0.13))
+    bpy.ops.object.camera_add(rotation=(math.radians(88), 0, 0))
+    scene.camera = bpy.context.object
+    scene.camera.data.lens = 35
+    keyframe(scene.camera, frames, (-0.1, -3.3, 1.35), (0.05, -3.3, 1.33))
+
+
+MATTER_SETS = {"canopy": build_canopy, "wax": build_wax, "wet": build_wet, "dappled": build_dappled}
