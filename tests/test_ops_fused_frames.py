@@ -128,8 +128,8 @@ def test_differences_that_are_not_white(both, assert_images_close):
 @pytest.mark.parametrize("backend", ["triton"], indirect=True)
 def test_lookups_off_the_pixel_by_noise(both, assert_images_close):
     noise = torch.tensor([0.0, 1e-9, 0.01, 0.25, 0.3, 8.0, math.inf]).view(-1, 1, 1, 1)
-    for wide in (False, True):
-        plain, fused = both(functools.partial(off_pixel, wide=wide), noise)
+    for more in (False, True):
+        plain, fused = both(functools.partial(off_pixel, more=more), noise)
         assert_images_close(fused, plain, "float32")
         assert plain[0] > 1e5 and not plain[3:].any()
     assert (plain[:3] < off_pixel(noise)[:3]).all()
