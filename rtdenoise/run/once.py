@@ -19,9 +19,7 @@ class Once:
     """`find` of two frames by their `layers`, whose last `most` results are kept. Frames are the same where these are
     the same tensors."""
 
-    def __init__(
-        self, find: Callable[[Frame, Frame], Tensor], most: int, layers: tuple[str, ...] = SURFACES
-    ) -> None:
+    def __init__(self, find: Callable[[Frame, Frame], Tensor], most: int, layers: tuple[str, ...] = SURFACES) -> None:
         self._find, self._layers = find, layers
         self._found: deque[tuple[list[Tensor | None], Tensor]] = deque(maxlen=most)
 

@@ -76,9 +76,7 @@ class TorchBackend:
         self.waits = lookahead > 0  # `Known.waits`
         self._advanced, self._turning = Once(advanced, lookahead), Once(turning, lookahead)
         pairs = max(1, lookahead - self.settles - 1)  # of the frames that a step is given, each of as much memory
-        self._coming = Once(
-            lambda a, b: coming(self.config, a, self._turning(a, b)), pairs, ("radiance", *SURFACES)
-        )
+        self._coming = Once(lambda a, b: coming(self.config, a, self._turning(a, b)), pairs, ("radiance", *SURFACES))
 
     @property
     def config(self) -> Config:
