@@ -24,7 +24,7 @@ from rtdenoise.evaluate.run import run
 from rtdenoise.report.readings import label
 
 RESULT, OUT = RESULTS / "lookahead_many.json", ROOT / "out" / "lookahead_many"
-METHODS = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead2")
+METHODS = ("hybrid", "hybrid-many", "hybrid-many-ahead2", "hybrid-large-many", "hybrid-large-many-ahead3")
 IN_BYTES = ("hybrid-many",)
 
 
