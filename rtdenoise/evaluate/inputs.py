@@ -26,7 +26,7 @@ from ..frame import Frame
 from ..metrics.image import decibels, masked_mean, reference_mse
 from ..run.pairs import are_same
 from .measure import check_references
-from .sequence import Frames, exposure
+from .sequence import Frames
 
 LAYERS = ("reference", "reference_half")
 EXTRA = ("components", "position", "samples")  # that some methods read beside the usual ones, where there are any
@@ -131,7 +131,7 @@ def reference_errors(frames: Frames | list[Frame]) -> dict[str, float | None]:
     With r₁ one half of the samples of r, E[(r - r₁)²] is the variance of r: a half has twice the variance, and r₁ is
     half of r.
     """
-    scale, relative, shown = exposure(frames), [], []
+    scale, relative, shown = Frames.of(frames).exposure, [], []
     for frame in frames:
         if frame.reference_half is None:
             return {"reference_relmse": None, "reference_psnr": None}

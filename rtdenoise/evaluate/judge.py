@@ -14,7 +14,7 @@ from .. import metrics as measures
 from ..frame import Frame
 from ..metrics.image import decibels_of_estimate, masked_mean
 from ..metrics.video import ages
-from .sequence import exposure, uncovered
+from .sequence import Frames
 
 # Regions of errors: the frame; pixels uncovered in it, one and two frames before (M⁰, M¹, M² of the paper).
 ALL_REGIONS = ("frame", "uncovered", "uncovered-1", "uncovered-2")
@@ -40,7 +40,8 @@ class Judge:
 
     @classmethod
     def of(cls, frames: Sequence[Frame], skip: int, metrics: tuple[str, ...], regions: tuple[str, ...]) -> Judge:
-        return cls(frames, uncovered(frames), exposure(frames), skip, metrics, regions)
+        frames = Frames.of(frames)
+        return cls(frames, frames.uncovered, frames.exposure, skip, metrics, regions)
 
     def ages(self) -> Iterable[Tensor | None]:
         """`metrics.ages` of each frame; a single frame has none."""

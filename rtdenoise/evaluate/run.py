@@ -29,7 +29,7 @@ from .options import EvaluateOptions, is_there
 from .origin import LIBRARIES, device_name, origin, typed
 from .playback import MAX_FRAMES, keep_strip, shown, window
 from .registry import Method, choose
-from .sequence import Frames, Step, exposure, uncovered
+from .sequence import Frames, Step
 from .stills import keep_picture, keep_truth, stills
 
 MEASURED_WITH = (*LIBRARIES, "pyoidn", "scikit-image", "flip-evaluator", "pyfvvdp")
@@ -222,14 +222,14 @@ def _numbers(result: Result) -> dict:
 
 
 def _describe(source: Source, frames: Frames) -> dict:
-    masks, numbers = uncovered(frames), list(source.base.numbers[: len(frames)])
+    masks, numbers = frames.uncovered, list(source.base.numbers[: len(frames)])
     clean = Frames(len(frames), lambda i: sanitise(frames[i]))
     return {
         "size": list(source.base.size),
         "frames": numbers,
         "base_spp": source.spp,
         "sample_ms": source.sample_ms,
-        "exposure": float(exposure(frames)),
+        "exposure": float(frames.exposure),
         "uncovered_share": float(np.mean([mask.float().mean() for mask in masks[1:]] or [0.0])),
         **reference_errors(frames),
         "playback": {"window": window(masks), "frames": numbers[:MAX_FRAMES]},

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import torch
@@ -37,6 +37,21 @@ class Frames(Sequence[Frame]):
     def __getitem__(self, i: int | slice) -> Frame | list[Frame]:
         place = self._places[i]
         return [self._read(p) for p in place] if isinstance(place, range) else self._read(place)
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame]) -> Frames:
+        """Themselves, if they are such."""
+        return frames if isinstance(frames, cls) else cls(len(frames), frames.__getitem__)
+
+    @cached_property
+    def uncovered(self) -> list[Tensor]:
+        """`uncovered` of all: found once, as every pass reads all frames."""
+        return uncovered(self)
+
+    @cached_property
+    def exposure(self) -> Tensor:
+        """Likewise."""
+        return exposure(self)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rich import box
 from rich.table import Table
 
+from .markdown import write_number
 from .readings import METRICS, label
 
 SHOWN = {"psnr_corrected": "psnr", "ssim": "", "relmse": "", "flip": ""}  # or what stands for it where it is unknown
@@ -25,19 +26,17 @@ def summary(rows: Sequence[dict]) -> Table:
         table.add_column(f"{METRICS[metric].label}\n{region}", justify="right", no_wrap=True)
     table.add_column("ms", justify="right", no_wrap=True)
     for row in rows:
-        errors = [_shown(row["errors"][region].get(metric), METRICS[metric].digits) for metric, region in columns]
+        errors = [write_number(metric, _error(row, metric, region)) for metric, region in columns]
         table.add_row(row["sequence"], str(row["spp"]), label(row), *errors, f"{row['ms']['median']:.0f}")
     return table
 
 
 def _known(names: tuple[str, str], rows: Sequence[dict]) -> list[str]:
     """The first of a metric and its stand-in that any row has a number of."""
-    return [m for m in names if any(_is_number(row["errors"]["frame"].get(m)) for row in rows)][:1]
+    return [m for m in names if any(_error(row, m, "frame") is not None for row in rows)][:1]
 
 
-def _shown(value: float | None, digits: int) -> str:
-    return f"{value:.{digits}f}" if _is_number(value) else "–"
-
-
-def _is_number(value: float | None) -> bool:
-    return value is not None and value == value
+def _error(row: dict, metric: str, region: str) -> float | None:
+    """None where it is unknown, which is NaN in results that have just been measured."""
+    value = row["errors"][region].get(metric)
+    return value if value == value else None
