@@ -21,9 +21,10 @@ def summary(rows: Sequence[dict]) -> Table:
     columns = [(m, region) for m in metrics for region in REGIONS if region == "frame" or METRICS[m].unit == "dB"]
     table = Table(box=box.SIMPLE)
     for name in ("sequence", "spp", "method"):
-        table.add_column(name, justify="right" if name == "spp" else "left", no_wrap=True)
-    for metric, region in columns:
-        table.add_column(f"{METRICS[metric].label}\n{region}", justify="right", no_wrap=True)
+        table.add_column(name, justify="right" if name == "spp" else "left", overflow="fold")
+    for metric, region in columns:  # words below each other: all fits into 80 columns
+        words = [*reversed(METRICS[metric].label.replace("corrected", "corr.").split()), region[:5]]
+        table.add_column("\n".join(words), justify="right", no_wrap=True)
     table.add_column("ms", justify="right", no_wrap=True)
     for row in rows:
         errors = [write_number(metric, _error(row, metric, region)) for metric, region in columns]
