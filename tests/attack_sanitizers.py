@@ -171,8 +171,8 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for dtype in (torch.float32, torch.bfloat16):
         wide = image.abs().to(dtype).contiguous(memory_format=torch.channels_last)
         yield f"to_bytes {dtype}", to_bytes(wide, torch.full((3, 1, 1), 9.0, dtype=dtype))
-    for own in (True, False) if kind in ("ordinary", "bright") or not few else (True,):  # emulation takes its time
-        yield from _convolutions(image, other, normal, own)
+    for cpu in ("own", "pairs", "tiles") if kind in ("ordinary", "bright") or not few else ("own",):  # tiles take time
+        yield from _convolutions(image, other, normal, cpu)
     many = small and not few
     for K in (1, 3, 5, 7) if many else (3,):
         for dtype in (torch.float32, torch.bfloat16, torch.float16) if many else (torch.bfloat16,):
@@ -197,8 +197,9 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     )
 
 
-def _convolutions(image, other, normal, own: bool) -> Iterator[tuple[str, object]]:
-    """Of as many channels as fit to vectors and tiles, and of others; by this CPU's `own` instructions, or tiles."""
+def _convolutions(image, other, normal, cpu: str) -> Iterator[tuple[str, object]]:
+    """Of as many channels as fit to vectors and tiles, and of others; by this CPU's "own" instructions, as where there
+    are those for "pairs" alone, or by "tiles"."""
     import torch
 
     from rtdenoise.ops.convolve_bytes import MOST, convolve_bytes, multiplies_bytes
@@ -208,7 +209,9 @@ def _convolutions(image, other, normal, own: bool) -> Iterator[tuple[str, object
     from rtdenoise.ops.native import to_planes as another
     from rtdenoise.ops.to_planes import to_planes
 
-    one.library = another.library = compiler.library if own else partial(compiler.library, EMULATED=1)
+    one.library = another.library = partial(compiler.library, EMULATED=1) if cpu == "tiles" else compiler.library
+    own = compiler.library("multiplies_bytes").multiplies_bytes()
+    one.multiplies = partial({"own": own, "pairs": one.PAIRS, "tiles": one.BYTES}.get, cpu)
     yield "multiplies_bytes", multiplies_bytes()
     H, W = image.shape[2:]
     x = feature_bytes(image, other, normal)

@@ -29,6 +29,7 @@ from rtdenoise.ops.max_pool import max_pool
 from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
+from rtdenoise.ops.native.convolve_bytes import BYTES, PAIRS
 from rtdenoise.ops.replace_invalid import replace_invalid
 from rtdenoise.ops.scattered import scattered
 from rtdenoise.ops.settle import settle
@@ -434,16 +435,31 @@ def test_convolve_bytes_that_enlarges(both, size, dtype, below, beside, outputs)
     assert plain.shape == (2, outputs, 2 * H, 2 * W) and torch.equal(plain, fused)
 
 
-OTHER_CPUS = [{"LANES": 16}, {"LANES": 8}, {"LANES": 4}, {"LANES": 4, "EMULATED": 1}, {"EMULATED": 1}]
+OTHER_CPUS = [
+    (BYTES, {"LANES": 16}), (BYTES, {"LANES": 8}), (BYTES, {"LANES": 4}),
+    (BYTES, {"LANES": 4, "EMULATED": 1}), (BYTES, {"EMULATED": 1}), (PAIRS, {}), (PAIRS, {"LANES": 4}),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("has", OTHER_CPUS, ids=str)
+@pytest.fixture
+def on_cpu(monkeypatch):
+    """Makes `convolve_bytes` take the C of a CPU that multiplies BYTES or PAIRS, with constants."""
+
+    def take(multiplies, **constants):
+        of = "rtdenoise.ops.native.convolve_bytes"
+        monkeypatch.setattr(f"{of}.multiplies", lambda: multiplies)
+        monkeypatch.setattr(f"{of}.library", functools.partial(compiler.library, **constants))
+
+    return take
+
+
+@pytest.mark.parametrize("multiplies, has", OTHER_CPUS, ids=str)
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bfloat16], ids=str)
 @pytest.mark.parametrize(("channels", "outputs"), [(16, 24), (16, 48), (36, 13)])
-def test_convolve_bytes_on_other_cpus(both, monkeypatch, has, dtype, channels, outputs):
-    """By vectors of 512 and 256 bits, where this one has their instructions, by none, and by tiles."""
-    other = functools.partial(compiler.library, **has)
-    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.library", other)
+def test_convolve_bytes_on_other_cpus(both, on_cpu, multiplies, has, dtype, channels, outputs):
+    """By vectors of 512 and 256 bits, where this one has their instructions, by none, by tiles, and by Winograd's
+    minimal filtering."""
+    on_cpu(multiplies, **has)
     x, coarse, bias = some_bytes(1, channels, 4, 70), some_bytes(1, 8, 2, 35), 50 * torch.randn(4, outputs)
     weights = [packed([whole_weights(outputs, 8, 2, 2), whole_weights(outputs, channels, 3, 3)]) for _ in range(4)]
     factor = torch.rand(4, outputs) * 2e-3
@@ -451,6 +467,26 @@ def test_convolve_bytes_on_other_cpus(both, monkeypatch, has, dtype, channels, o
     for arguments in (alone, (x, torch.stack(weights), factor, bias, coarse)):
         plain, fused = both(lambda *tensors: convolve_bytes(*tensors, dtype), *arguments)
         assert torch.equal(plain, fused)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (5, 4), (7, 25)], ids=str)
+@pytest.mark.parametrize(("below", "beside", "outputs"), [(4, 4, 4), (20, 256, 33), (112, 48, 40)])
+def test_convolve_bytes_by_winograd(both, on_cpu, size, below, beside, outputs):
+    """Also of inputs and weights as great as they can be, whose mixtures 16 bits must hold."""
+    on_cpu(PAIRS)
+    H, W = size
+    factor, bias = torch.rand(4, outputs) * 1e-3, 50 * torch.randn(4, outputs)
+    for most in (False, True):
+        fine, alone = some_bytes(2, beside, 2 * H, 2 * W), some_bytes(2, beside, H, W)
+        coarse = some_bytes(2, below, H, W)
+        of_fine, of_coarse = whole_weights(outputs, beside, 3, 3), whole_weights(outputs, below, 2, 2)
+        if most:
+            fine, alone, coarse = (x // 128 * 255 for x in (fine, alone, coarse))
+            of_fine, of_coarse = (127 * w.sign() for w in (of_fine, of_coarse))
+        phases = packed([of_coarse, of_fine])[None].repeat(4, 1, 1, 1)
+        for arguments in ((alone, packed([of_fine])[None], factor[:1], bias[:1]), (fine, phases, factor, bias, coarse)):
+            plain, fused = both(convolve_bytes, *arguments)
+            assert torch.equal(plain, fused)
 
 
 def test_convolve_bytes_falls_back():

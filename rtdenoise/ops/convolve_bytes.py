@@ -84,13 +84,13 @@ def _check(
 
 
 def multiplies_bytes() -> bool:
-    """Whether the fused op is there, and this CPU has instructions for its products: AVX512-VNNI or AVX-VNNI."""
+    """Whether the fused op is there, and this CPU has instructions for its products: AVX512-VNNI, AVX-VNNI or AVX2."""
     if plain() or not compiled("cpu"):
         return False
-    from .native.convolve_bytes import multiplies_bytes as asked
+    from .native.convolve_bytes import multiplies
 
     try:
-        return asked()
+        return bool(multiplies())
     except NotCompiled:
         return False
 

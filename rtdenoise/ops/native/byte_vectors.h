@@ -1,5 +1,5 @@
 // Vectors of sums of products of bytes, for convolve_bytes.c, and its results. LANES may be given: 16, 8 or 4, for code of
-// CPUs that have less.
+// CPUs that have less. With PAIRS, for convolve_winograd.c, products are of two numbers of 16 bits.
 #if HALF
 typedef uint16_t number;
 static inline number result(float y) {  // rounded to nearest, ties to even
@@ -12,11 +12,14 @@ static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255))
 #endif
 
 // Vectors of sums. `plus_products` adds four products of bytes to each, `x` unsigned and `w` signed: on x86 one instruction
-// (VNNI). `store` makes `many` results of them, at most LANES; compilers do not find its instructions by themselves.
-#if defined __AVX512VNNI__ || defined __AVXVNNI__
+// (VNNI); or two of 16 bits. `store` makes `many` results of them, at most LANES; compilers do not find its instructions by themselves.
+#if defined __AVX512VNNI__ || defined __AVXVNNI__ || defined __AVX2__
 #include <immintrin.h>
 #endif
-#if defined __AVX512VNNI__ && (!defined LANES || LANES == 16)
+#ifndef PAIRS
+#define PAIRS 0
+#endif
+#if defined __AVX512VNNI__ && !PAIRS && (!defined LANES || LANES == 16)
 #undef LANES
 #define LANES 16
 #define PIXELS 12  // times PARTS vectors of sums: they fill the registers
@@ -35,13 +38,15 @@ static inline void store(number *to, vector sum, const float *factor, const floa
     _mm_mask_storeu_epi8(to, there, _mm512_cvtusepi32_epi8(_mm512_cvtps_epi32(y)));  // to nearest, ties to even
 #endif
 }
-#elif (defined __AVX512VNNI__ || defined __AVXVNNI__) && (!defined LANES || LANES == 8)
+#elif (defined __AVX512VNNI__ || defined __AVXVNNI__ || PAIRS && defined __AVX2__) && (!defined LANES || LANES == 8)
 #undef LANES
 #define LANES 8
 #define PIXELS 6
 typedef __m256i vector;
 static inline vector repeated(int32_t x) { return _mm256_set1_epi32(x); }
-#if defined __AVXVNNI__
+#if PAIRS
+static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_add_epi32(sum, _mm256_madd_epi16(x, w)); }
+#elif defined __AVXVNNI__
 static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_avx_epi32(sum, x, w); }
 #else
 static inline vector plus_products(vector sum, vector x, vector w) { return _mm256_dpbusd_epi32(sum, x, w); }
@@ -74,6 +79,7 @@ typedef int32_t vector __attribute__((vector_size(LANES * 4)));
 typedef uint32_t bits __attribute__((vector_size(LANES * 4)));
 static inline vector repeated(int32_t x) { return (vector){0} + x; }
 static inline vector plus_products(vector sum, vector x, vector w) {
+    if (PAIRS) return sum + (x << 16 >> 16) * (w << 16 >> 16) + (x >> 16) * (w >> 16);
     for (int k = 24; k >= 0; k -= 8) sum += (vector)((bits)x >> (24 - k) & 255) * ((vector)((bits)w << k) >> 24);
     return sum;
 }

@@ -16,26 +16,7 @@
 #else
 #define SPAN (2 * PIXELS + 1)
 #endif
-
-// A picture that a convolution reads: bytes [height, width, channels], through windows of taps × taps pixels. Neighbouring
-// outputs of a block read windows that are `step` pixels apart.
-typedef struct {
-    const uint8_t *bytes;
-    int height, width, channels, taps, step;
-} source;
-
-// `rows[v]`: `pixels` from column `left` of row `top + v`; zeros where there are none, for which `space` is used.
-static inline void window(const source *s, int top, int left, int pixels, const uint8_t **rows, uint8_t (*space)[SPAN * MOST]) {
-    int from = MAX(left, 0), to = MIN(left + pixels, s->width), C = s->channels;
-    for (int v = 0; v < s->taps; v++) {
-        int y = top + v, inside = y >= 0 && y < s->height;
-        const uint8_t *row = inside ? s->bytes + ((int64_t)y * s->width + from) * C : NULL;
-        rows[v] = row;
-        if (inside && from == left && to == left + pixels) continue;
-        rows[v] = memset(space[v], 0, (size_t)pixels * C);
-        if (inside && from < to) memcpy(space[v] + (from - left) * C, row, (size_t)(to - from) * C);
-    }
-}
+#include "byte_windows.h"
 
 // Add a source's products to the sums of PIXELS pixels and `parts` vectors of outputs; returns the weights after its own.
 // `stride`: bytes from the weights of four channels to those of the next four.
@@ -91,12 +72,12 @@ static inline __attribute__((always_inline)) void convolved(Row r, int parts) {
         for (int p = 0; p < PIXELS; p++)
             for (int k = 0; k < PARTS; k++) sums[p][k] = repeated(0);
         if (scale == 2) {
-            window(r.below, r.i / 2 + r.a - 1, j + r.b - 1, PIXELS + 1, rows, space);
+            window(r.below, r.i / 2 + r.a - 1, j + r.b - 1, 2, PIXELS + 1, rows, space);
             w = add(sums, rows, w, r.stride, 2, 1, parts, r.below->channels);
-            window(r.beside, r.i - 1, j * 2 + r.b - 1, 2 * PIXELS + 1, rows, space);
+            window(r.beside, r.i - 1, j * 2 + r.b - 1, 3, 2 * PIXELS + 1, rows, space);
             add(sums, rows, w, r.stride, 3, 2, parts, r.beside->channels);
         } else {
-            window(r.beside, r.i - 1, j - 1, PIXELS + 2, rows, space);
+            window(r.beside, r.i - 1, j - 1, 3, PIXELS + 2, rows, space);
             add(sums, rows, w, r.stride, 3, 1, parts, r.beside->channels);
         }
         memcpy(totals, sums, sizeof totals);  // registers have no index
@@ -113,8 +94,8 @@ static inline __attribute__((always_inline)) void convolved(Row r, int parts) {
 
 // x is `beside`, a picture of the result's size; where `below` has taps, its weights come first. weight [phases, quads, stored,
 // 4]; factor, bias [phases, outputs]; out [H, W, outputs]. A phase is the place of a result among the 2×2 in a pixel of
-// `below`; without that there is one.
-void convolve_bytes(const source *below, const source *beside, const int8_t *weight, const float *factor, const float *bias,
+// `below`; without that there is one. Returns 0.
+int convolve_bytes(const source *below, const source *beside, const int8_t *weight, const float *factor, const float *bias,
                     number *out, int quads, int stored, int outputs, int H, int W, int threads) {
     int scale = below->taps ? 2 : 1, block = BLOCK;
 #if TILES
@@ -155,4 +136,5 @@ void convolve_bytes(const source *below, const source *beside, const int8_t *wei
 #if TILES
     free(tiles);
 #endif
+    return 0;
 }

@@ -10,6 +10,8 @@ from torch import Tensor
 from ..convolve_bytes import MOST
 from .compiler import library, pointer
 
+PAIRS, BYTES = 1, 2  # of multiplies_bytes.c
+
 
 class _Source(Structure):
     """A picture that a convolution reads; the C file says more."""
@@ -25,14 +27,17 @@ def convolve_bytes(
     O = factor.shape[1]
     weight, factor, bias = weight.contiguous(), factor.contiguous(), bias.contiguous()
     out = torch.empty(B, O, H, W, dtype=dtype, device="cpu", memory_format=torch.channels_last)
-    run = library("convolve_bytes", HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
+    way = "convolve_winograd" if multiplies() == PAIRS else "convolve_bytes"
+    run = library(way, HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
     for b in range(B):
         beside = _Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
         coarse = _Source() if below is None else _Source(below[b].data_ptr(), H // 2, W // 2, below.shape[1], 2, 1)
-        run(byref(coarse), byref(beside), *map(pointer, (weight, factor, bias, out[b])), quads, stored, O, H, W,
-            torch.get_num_threads())  # fmt: skip
+        if run(byref(coarse), byref(beside), *map(pointer, (weight, factor, bias, out[b])), quads, stored, O, H, W,
+               torch.get_num_threads()):  # fmt: skip
+            raise MemoryError("no memory for the weights of a convolution")
     return out
 
 
-def multiplies_bytes() -> bool:
-    return bool(library("multiplies_bytes").multiplies_bytes())
+def multiplies() -> int:
+    """What this CPU has instructions for: products of BYTES, of PAIRS of 16 bits, or neither (0)."""
+    return library("multiplies_bytes").multiplies_bytes()

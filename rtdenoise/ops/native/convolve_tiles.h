@@ -58,7 +58,7 @@ static void convolved_by_tiles(Row r, int64_t further) {
             const source *s = k ? r.beside : r.below;
             int unread = (DEEP - 1) / s->channels + 1;  // pixels after a window that its last tile holds, too
             int top = k ? r.i - 1 : r.i / 2 + r.a - 1, left = k ? j * scale + r.b - 1 : j + r.b - 1;
-            window(s, top, left, last * s->step + s->taps + unread, rows, space);
+            window(s, top, left, s->taps, last * s->step + s->taps + unread, rows, space);
             tiles_written(space);
             w = add_tiles(s, rows, w, further, parts, wide);
         }
