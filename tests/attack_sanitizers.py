@@ -202,6 +202,7 @@ def _convolutions(image, other, normal, cpu: str) -> Iterator[tuple[str, object]
     are those for "pairs" alone, or by "tiles"."""
     import torch
 
+    from rtdenoise.ops.convolve import convolve, mixed
     from rtdenoise.ops.convolve_bytes import MOST, convolve_bytes, multiplies_bytes
     from rtdenoise.ops.feature_bytes import feature_bytes
     from rtdenoise.ops.native import compiler
@@ -228,6 +229,13 @@ def _convolutions(image, other, normal, cpu: str) -> Iterator[tuple[str, object]
         most = x.repeat(1, MOST // x.shape[1] + 1, 1, 1)[:, :MOST].contiguous(memory_format=torch.channels_last)
         weight, numbers = torch.ones(1, 9 * MOST // 4, 32, 4, dtype=torch.int8), torch.ones(2, 1, 32)
         yield "convolve_bytes most", convolve_bytes(most, weight, *numbers)
+    for channels in (3, 20):
+        x = image.repeat(1, 7, 1, 1)[:, :channels].contiguous(memory_format=torch.channels_last)
+        weight = torch.ones(13, 4 + channels, 3, 3)
+        yield "convolve", convolve(x, weight[:, 4:], torch.zeros(13), mixed(weight[:, 4:]))
+        if not (H % 2 or W % 2):
+            below = x.repeat(1, 2, 1, 1)[:, :4, ::2, ::2].contiguous(memory_format=torch.channels_last)
+            yield "convolve below", convolve(x, weight, torch.zeros(13), mixed(weight, 4), below)
     for channels, dtype in ((32, torch.float32), (48, torch.bfloat16), (32, torch.bfloat16)):
         x = image.repeat(1, 16, 1, 1)[:, :channels].to(dtype).contiguous(memory_format=torch.channels_last)
         yield "to_planes", to_planes(x, torch.ones(3, channels, 3, 3, dtype=dtype), torch.zeros(3))

@@ -370,7 +370,7 @@ def test_gpus_have_none():
     ("multiplies", "choice", "expected"), [(True, "auto", True), (False, "auto", False), (True, "plain", False)]
 )
 def test_auto_takes_bytes_where_a_cpu_multiplies_them(monkeypatch, tmp_path, multiplies, choice, expected):
-    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.multiplies_bytes", lambda: multiplies)
+    monkeypatch.setattr("rtdenoise.ops.native.convolve_bytes.multiplies", lambda: multiplies)
     save(read("fast"), tmp_path / "mine.safetensors")
     with ops.use(choice):
         assert isinstance(load("fast").unet, UNetInBytes) == expected
@@ -387,7 +387,7 @@ def test_without_a_compiler_no_cpu_multiplies_bytes(monkeypatch):
         raise NotCompiled("no space left")
 
     with monkeypatch.context() as patch:
-        patch.setattr("rtdenoise.ops.native.convolve_bytes.multiplies_bytes", fails)
+        patch.setattr("rtdenoise.ops.native.convolve_bytes.multiplies", fails)
         assert not multiplies_bytes()
     monkeypatch.setattr("rtdenoise.ops.convolve_bytes.compiled", lambda _: False)
     assert not multiplies_bytes()

@@ -17,6 +17,7 @@ from rtdenoise.ops.agrees import agrees
 from rtdenoise.ops.around import expand_within
 from rtdenoise.ops.blend_history import blend_history
 from rtdenoise.ops.block_luminance import block_luminance
+from rtdenoise.ops.convolve import convolve, mixed
 from rtdenoise.ops.convolve_bytes import convolve_bytes, packed
 from rtdenoise.ops.dim import dim
 from rtdenoise.ops.even_sky import even_sky
@@ -487,6 +488,34 @@ def test_convolve_bytes_by_winograd(both, on_cpu, size, below, beside, outputs):
         for arguments in ((alone, packed([of_fine])[None], factor[:1], bias[:1]), (fine, phases, factor, bias, coarse)):
             plain, fused = both(convolve_bytes, *arguments)
             assert torch.equal(plain, fused)
+
+
+@pytest.mark.parametrize("size, channels, outputs", [((1, 1), 9, 32), ((3, 7), 12, 33), ((6, 26), 64, 48)], ids=str)
+@pytest.mark.parametrize("has", [{}, {"LANES": 16}, {"LANES": 8}, {"LANES": 4}], ids=str)
+def test_convolve(both, monkeypatch, has, size, channels, outputs):
+    """Also with the vectors of other CPUs, and beside 10⁶ times as much light, which a window does not see."""
+    monkeypatch.setattr("rtdenoise.ops.native.convolve.library", functools.partial(compiler.library, **has))
+    H, W = size
+    x, fine, coarse = torch.rand(2, channels, H, W), torch.rand(2, channels, 2 * H, 2 * W), torch.rand(2, 20, H, W)
+    x, fine, coarse = (y.contiguous(memory_format=torch.channels_last) for y in (x, fine, coarse))
+    fine[..., W:] *= 1e6
+    weight, bias = torch.randn(outputs, 20 + channels, 3, 3) / channels**0.5, torch.randn(outputs)
+    alone = weight[:, 20:]
+    plain, fused = both(convolve, x, alone, bias, mixed(alone))
+    assert plain.shape == fused.shape == (2, outputs, H, W) and (plain == 0).any() and (plain > 0).any()
+    assert (fused - plain).abs().max() < 3e-6 * plain.max()
+    plain, fused = both(convolve, fine, weight, bias, mixed(weight, 20), coarse)
+    assert plain.shape == fused.shape == (2, outputs, 2 * H, 2 * W)
+    for part in (slice(W - 1), slice(W - 1, None)):
+        assert not plain[..., part].numel() or (fused - plain)[..., part].abs().max() < 3e-6 * plain[..., part].max()
+
+
+def test_convolve_falls_back():
+    """Of more channels than the fused op holds, and in another layout."""
+    for channels, layout in ((300, torch.channels_last), (8, torch.contiguous_format)):
+        x, weight = torch.rand(1, channels, 4, 5).contiguous(memory_format=layout), torch.randn(8, channels, 3, 3)
+        expected = torch.relu(torch.nn.functional.conv2d(x, weight, torch.ones(8), padding=1))
+        assert torch.equal(convolve(x, weight, torch.ones(8), mixed(weight)), expected)
 
 
 def test_convolve_bytes_falls_back():

@@ -9,7 +9,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
+from ..ops.convolve import convolve, mixed
 from ..ops.convolve_bytes import multiplies_bytes
+from ..ops.dispatch import compiled
 from ..ops.features import filled
 from .unet import ConvRelu, HeadsByCells, Up
 
@@ -97,6 +99,11 @@ def prepare(network: nn.Module, dtype: torch.dtype) -> nn.Module:
         for module in network.modules():
             if isinstance(module, _FusedConvRelu | _FusedUp):
                 module.fill_lanes()
+    if fuses and device.type == "cpu" and dtype == torch.float32 and compiled("cpu"):
+        first = {up[0] for up in network.modules() if isinstance(up, _FusedUp)}  # which their levels do
+        for module in network.modules():
+            if isinstance(module, _FusedConvRelu | _FusedUp) and module not in first:
+                module.filter_minimally()
     return network.to(dtype=dtype, memory_format=torch.channels_last)
 
 
@@ -108,14 +115,24 @@ def as_weights(x: Tensor, network: nn.Module) -> Tensor:
 
 
 class _FusedConvRelu(ConvRelu):
-    """Convolution, bias and ReLU in one pass, by oneDNN on a CPU and by cuDNN on CUDA."""
+    """Convolution, bias and ReLU in one pass, by our own C or oneDNN on a CPU and by cuDNN on CUDA."""
+
+    minimal = False
 
     def fill_lanes(self) -> None:
         """Take as many channels as are fast, the last with weights of 0: of 3 or 8 they take twice the time of 16."""
         self.lanes = LANES
         self.register_buffer("filled", filled(self.weight.detach(), LANES), persistent=False)
 
+    def filter_minimally(self) -> None:
+        """Take half of the products in float32 on a CPU (`ops.convolve`)."""
+        if self.kernel_size == (3, 3) and self.padding == (1, 1) and self.stride == (1, 1) and self.groups == 1:
+            self.register_buffer("of_mixtures", mixed(self.weight), persistent=False)
+            self.minimal = True
+
     def forward(self, x: Tensor) -> Tensor:
+        if self.minimal and x.device.type == "cpu":
+            return convolve(x, self.weight, self.bias, self.of_mixtures)
         x, weight = (filled(x, self.lanes), self.filled) if self.lanes > 1 else (x, self.weight)
         if x.device.type == "cpu":
             return torch.ops.mkldnn._convolution_pointwise(
@@ -137,6 +154,8 @@ class _FusedUp(Up):
     instead of 36, and neither the enlarged picture nor the joined one is ever stored.
     """
 
+    minimal = False
+
     @classmethod
     def take(cls, up: Up) -> None:
         """Turn `up` into this class, in place. Its own weights keep their names."""
@@ -149,7 +168,14 @@ class _FusedUp(Up):
         """As that of `_FusedConvRelu`, for the skip connection."""
         self.of_skip = filled(self.of_skip, LANES)
 
+    def filter_minimally(self) -> None:
+        """As that of `_FusedConvRelu`; the coarser level is read at its own size here, too."""
+        self.register_buffer("of_mixtures", mixed(self[0].weight, self.below), persistent=False)
+        self.minimal = True
+
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        if self.minimal and x.device.type == "cpu":
+            return self[3](self[2](convolve(skip, self[0].weight, self[0].bias, self.of_mixtures, x)))
         fused = type(self[0]) is _FusedConvRelu
         skip = filled(skip, self[0].lanes) if fused else skip
         if fused and _by_cudnn(x.dtype, x.device):

@@ -12,7 +12,8 @@ static inline number result(float y) { return (number)rintf(MIN(MAX(y, 0), 255))
 #endif
 
 // Vectors of sums. `plus_products` adds four products of bytes to each, `x` unsigned and `w` signed: on x86 one instruction
-// (VNNI); or two of 16 bits. `store` makes `many` results of them, at most LANES; compilers do not find its instructions by themselves.
+// (VNNI); or two of 16 bits. `store` makes `many` results of them, at most LANES; compilers do not find its instructions by
+// themselves.
 #if defined __AVX512VNNI__ || defined __AVXVNNI__ || defined __AVX2__
 #include <immintrin.h>
 #endif

@@ -23,6 +23,7 @@
 
 typedef uint8_t bytes __attribute__((vector_size(GROUP)));
 typedef int16_t inputs __attribute__((vector_size(GROUP * 2)));
+typedef int16_t loose __attribute__((vector_size(GROUP * 2), aligned(2)));  // anywhere in memory
 typedef int16_t weights __attribute__((vector_size(BLOCK * 8)));
 typedef int32_t sums __attribute__((vector_size(LANES * 4)));
 
@@ -57,7 +58,7 @@ mixed(int size, const uint8_t *const *row, int64_t left, int C, int16_t *to, int
             mix_inputs(size, d + v * size, 1);
         }
         for (int u = 0; u < size; u++) mix_inputs(size, d + u, size);
-        for (int k = 0; k < size * size; k++) memcpy(to + k * further, d + k, sizeof *d);
+        for (int k = 0; k < size * size; k++) *(loose *)(to + k * further) = d[k];
     }
 }
 
