@@ -34,6 +34,7 @@ from rtdenoise.frame import Frame
 RESULT, PAGES = RESULTS / "latency_720p.json", (DOCS / "results" / "performance.md",)
 ON_CUDA, ON_AMX = RESULTS / "latency_720p_cuda.json", RESULTS / "latency_720p_amx.json"
 OTHER_RESULTS = (ON_CUDA, ON_AMX)  # with tables on the same pages
+SHORT = {ON_AMX: ("latency-amx", ("bf16", "int8"))}  # section, precisions
 SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
@@ -49,6 +50,8 @@ class Options:
     """Further sizes, at which only `default` and `hybrid` in half precision and in bytes, and OIDN high, are timed."""
     presets: tuple[str, ...] = ()
     """Some of the models (default: all). Weights do not matter to the time; models without any get random ones."""
+    backends: tuple[str, ...] = tuple(methods.BACKENDS)
+    """Some of the ways to run a model."""
     calls: int = 10
     """Timed calls of each method at 720p; fewer at larger sizes, at least 3."""
     threads: int = 0
@@ -72,7 +75,7 @@ def main(o: Options) -> None:
     with_shaders, gl = measurable(o.quick)
     with torch.inference_mode():
         peaks = measured_peaks(device, calls)
-        rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders)]
+        rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders, o.backends)]
         for size in () if o.quick else (size for size in o.scaling if size not in sizes):
             give_back()
             rows += run(size, AT_ALL_SIZES, device, calls, False, methods.SCALED, ("high",))
@@ -95,9 +98,10 @@ def main(o: Options) -> None:
 
 
 def tables(document: dict) -> dict[str, str]:
-    """Sections `latency` and `scaling`, or `latency-cuda` and `scaling-cuda`; of `ON_AMX` totals alone."""
-    if ON_AMX.name in document["command"]:
-        return {"latency-amx": short_table(document, "720p")}
+    """Sections `latency` and `scaling`, or `latency-cuda` and `scaling-cuda`; of `SHORT` totals alone."""
+    for result, (section, precisions) in SHORT.items():
+        if result.name in document["command"]:
+            return {section: short_table(document, "720p", precisions)}
     where = "-cuda" if document["device"] == "cuda" else ""
     return {f"latency{where}": table(document, "720p"), f"scaling{where}": scaling(document["rows"])}
 

@@ -78,8 +78,9 @@ def test_the_latency_table_is_that_of_the_result(monkeypatch):
     for result in (latency.RESULT, latency.ON_CUDA):
         document = read(result)
         assert latency.table(document, "720p") in (DOCS / "results" / "performance.md").read_text()
-    document = read(latency.ON_AMX)
-    assert latency.short_table(document, "720p") in (DOCS / "results" / "performance.md").read_text()
+    for result, (_, precisions) in latency.SHORT.items():
+        document = read(result)
+        assert latency.short_table(document, "720p", precisions) in (DOCS / "results" / "performance.md").read_text()
 
 
 def test_every_result_says_where_it_is_from():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from rtdenoise.models import PRESETS
@@ -30,13 +31,13 @@ def table(document: dict, size: str) -> str:
     return "\n".join(lines)
 
 
-def short_table(document: dict, size: str) -> str:
-    """Totals at one size, of methods in bfloat16 and in bytes, and of OIDN."""
+def short_table(document: dict, size: str, precisions: Sequence[str]) -> str:
+    """Totals at one size, of methods with one of the `precisions`, and of OIDN."""
     rows = [row for row in document["rows"] if row["size"] == size]
     base, (W, H) = next(row[TOTAL]["median_ms"] for row in rows if row["method"] == BASE), rows[0]["pixels"]
     lines = [f"| {W}×{H}, ms | total | against OIDN high |", "|---|---|---|"]
     for row in rows:
-        if row["method"].split()[-1] not in ("eager", "fp32"):
+        if row["method"].split()[-1] in precisions or row["method"].startswith("oidn"):
             total = _cells(row, base, document["measured_peaks"], 1)[len(STAGES) : len(STAGES) + 2]
             lines.append(f"| {row['method']} | {' | '.join(total)} |")
     return "\n".join(lines)
