@@ -106,6 +106,15 @@ def test_frames_are_read_with_columns_of_the_other_side(tmp_path):
             assert np.array_equal(image[..., -panorama.beside :], getattr(whole, layer)[..., : panorama.beside])
 
 
+def test_motion_in_parts_of_the_picture_is_that_of_the_picture_itself(tmp_path):
+    layers = {"color": np.ones((64, 128, 3), np.float32), "flow": np.full((64, 128, 2), 0.125, np.float32)}
+    write_layers(tmp_path / "frame.0001.exr", layers, dtypes={"flow": "float"})
+    preset = tmp_path / "my.toml"
+    preset.write_text('[color]\nchannels = ["R", "G", "B"]\n[motion]\nchannels = ["flow.X", "flow.Y"]\nscale = "uv"\n')
+    joined = replace(open_sequence(tmp_path, preset=str(preset)), beyond=Panorama(128)).read(0).motion
+    assert joined.shape == (1, 2, 64, 256) and (joined[0, 0] == 16).all() and (joined[0, 1] == 8).all()
+
+
 def test_motion_takes_the_shorter_way_round():
     motion = np.zeros((1, 2, 1, 6), np.float32)
     motion[0, 0, 0] = 3, 199, -198.5, 100, OFF_SCREEN, np.nan

@@ -108,7 +108,7 @@ class Sequence:
         rules = rules | {layer: self.available[layer] for layer in needed if layer in self.available}
         read = *rules.values(), *([path] if path else ()), *fog.values()
         channels = self.planes(i, {name for rule in read for name in rule.channels})
-        layers = {layer: convert(rule, channels, layer) for layer, rule in rules.items()}
+        layers = {layer: convert(rule, channels, layer, self.size) for layer, rule in rules.items()}
         more = self.layout.more_history
         frame = Frame(**layers, number=files.number, name=str(files.path), more_history=more)
         frame = self.beyond.joined(frame) if self.beyond else frame
@@ -195,8 +195,13 @@ class Sequence:
         return layer in ("depth", "motion", "motion_next") and ("id" in self.available or not self.scene["objects"])
 
 
-def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarray:
-    """A layer `[1, C, H, W]` from channels `[H, W]`, in the conventions of `frame.py`."""
+def convert(
+    rule: Rule,
+    channels: dict[str, np.ndarray],  # [H, W] each
+    layer: str,
+    picture: tuple[int, int] | None = None,  # its (H, W), where channels hold more: motion may be a part of it
+) -> np.ndarray:
+    """A layer `[1, C, H, W]` from channels, in the conventions of `frame.py`."""
     stored = [channels[name] for name in rule.channels]
     image = np.empty((len(stored), *stored[0].shape), np.float32)
     for plane, channel, sign in zip(image, stored, rule.signs, strict=True):
@@ -208,7 +213,7 @@ def convert(rule: Rule, channels: dict[str, np.ndarray], layer: str) -> np.ndarr
     if layer == "normal" and rule.offset:  # black, which is no direction, is written where nothing was hit
         image = np.where(np.any(stored, axis=0), image, np.float32(0))
     if rule.scale in SCALES:
-        image = image * np.array(pixels(rule.scale, image.shape[1:]), np.float32).reshape(2, 1, 1)
+        image = image * np.array(pixels(rule.scale, picture or image.shape[1:]), np.float32).reshape(2, 1, 1)
     elif rule.scale != 1:
         image = image * np.float32(rule.scale)
     return image[None]
