@@ -588,6 +588,10 @@ def test_mitsuba_file_is_set_in_motion(tmp_path):
                             ("[camera]\nsensor = false", "sensor False asked for"),
                             ("[[extra]]\nsize = 0", "size = 0: expected more than 0"),
                             ("[[extra]]\nroughness = 3", "roughness = 3: expected 0 to 1"),
+                            ("[[object]]\nshapes = ['ball']\nname = 2026-01-01", "object: name = .*: expected text"),
+                            ("[[extra]]\nname = [1]", r"extra: name = \[1\]: expected text"),
+                            ("brightness = " + 5000 * "9", "not valid TOML"),
+                            ("brightness = " + 5000 * "[", "not valid TOML: nested too deeply"),
                             ("brightness = ", "not valid TOML"), ("# \udcff", "not valid TOML")):  # fmt: skip
         motion.write_text(text, encoding="utf-8", errors="surrogateescape")
         with pytest.raises(InputError, match=complaint):

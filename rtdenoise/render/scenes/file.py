@@ -31,6 +31,7 @@ from dataclasses import fields
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
+from reprlib import repr as shown
 
 import numpy as np
 
@@ -79,7 +80,9 @@ def _read(path: Path) -> dict:
         script = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise InputError(f"{path}: not valid TOML: nested too deeply") from None
+    except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, or an integer of thousands of digits
         raise InputError(f"{path}: not valid TOML: {error}") from error
     _check(script, {"brightness", "camera", "cut", "object", "extra"}, f"{path}")
     return script
@@ -104,7 +107,7 @@ def _check(table: dict, known: set[str], where: str) -> None:
 def _objects(entries: list[dict], shapes: list[str], where) -> tuple[Object, ...]:
     objects, left = [], dict.fromkeys(shapes)
     for entry in entries:
-        name = entry.get("name", "object")
+        name = _name(entry, "object", where)
         _check(entry, OBJECT_KEYS, f"{where}: object '{name}'")
         patterns = entry.get("shapes", [])
         if not isinstance(patterns, list) or not all(isinstance(pattern, str) for pattern in patterns):
@@ -119,6 +122,14 @@ def _objects(entries: list[dict], shapes: list[str], where) -> tuple[Object, ...
         motion = _motion(entry, f"{where}: object '{name}'")
         objects.append(Object(len(objects) + 1, name, shapes=own, motion=motion))
     return (*objects, *(Object(i, s, shapes=(s,)) for i, s in enumerate(left, len(objects) + 1)))
+
+
+def _name(entry: dict, kind: str, where: str) -> str:
+    """The name of an object, which scene.json repeats; `kind` without one."""
+    name = entry.get("name", kind)
+    if not isinstance(name, str):
+        raise InputError(f"{where}: {kind}: name = {shown(name)}: expected text")
+    return name
 
 
 def _near(patterns: list[str], shapes: list[str]) -> str:
@@ -160,7 +171,7 @@ def _keyframes(entry: dict, parts: dict[str, int], where: str, default: dict) ->
 
 def _extra(entry: dict, id: int, loaded, path: CameraPath, where: str) -> Object:
     """An added object, placed where it touches nothing in frame 0."""
-    name = entry.get("name", "extra")
+    name = _name(entry, "extra", where)
     where = f"{where}: extra '{name}'"
     _check(entry, EXTRA_KEYS, where)
     for key, known in (("shape", tuple(SHAPES)), ("material", MATERIALS)):
