@@ -373,6 +373,17 @@ def test_a_kept_frame_is_one_of_this_run(shot, tmp_path, content, complaint):
         render_sequence(small_room(), tmp_path, 2, OPTIONS, first=4, progress=None)
 
 
+@pytest.mark.parametrize("number", ["x", None])
+def test_a_scene_json_whose_frames_have_no_order_is_one_line(tmp_path, number):
+    room, path = small_room(), tmp_path / "scene.json"
+    write_scene_json(room, path, range(2), OPTIONS, begun=False)
+    document = json.loads(path.read_text())
+    document["frames"].append({"number": number})
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=f"^{path}: damaged"):
+        write_scene_json(room, path, range(2), OPTIONS, begun=True)
+
+
 def test_two_runs_do_not_render_into_one_folder(tmp_path):
     with lock(tmp_path), pytest.raises(InputError, match="another run is writing there"):
         render_sequence(small_room(), tmp_path, 1, OPTIONS)

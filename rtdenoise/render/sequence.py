@@ -80,13 +80,14 @@ def _joined(path: Path, before: dict, now: dict) -> list[dict]:
     entries = {entry["number"]: entry for entry in now["frames"]}
     try:
         kept = {entry["number"]: entry for entry in before["frames"]}
+        joined = sorted(kept.keys() | entries.keys())
         same = all(before[key] == now[key] for key in ("format", "width", "height", "objects"))
     except (KeyError, TypeError):
         raise InputError(f"{path}: damaged: not as `rtdenoise render` writes it; remove it, or choose another "
                          "--out") from None  # fmt: skip
     if not same or any(entries[number] != kept[number] for number in entries.keys() & kept.keys()):
         raise InputError(f"{path}: is of another scene, motion or size, expected this one; choose another --out")
-    return [entry for _, entry in sorted((kept | entries).items())]
+    return [(kept | entries)[number] for number in joined]
 
 
 def render_sequence(
