@@ -344,6 +344,17 @@ def test_estimates_are_of_the_clips_own_frames_and_kept(clips):
         ClipDataset(clips).load(1, signal="indirect", estimates="fast")
 
 
+def test_clips_with_a_lead_in_have_estimates_of_it_too(tmp_path):
+    folder = write_clips(tmp_path, range(1), size=16, lead_in=2)
+    assert write_all([folder], ["accumulate"], ["color"]) == 1
+    path = estimate_path(ClipDataset(folder).paths[0], "accumulate")
+    assert load_file(path)["color"].shape == (6, 3, 16, 16)
+    both = ClipDataset(folder).load(0, signal="color", estimates="accumulate")
+    assert [frame.number for frame in both] == 2 * [2, 3, 4, 5]
+    assert not torch.equal(both[4].radiance, both[0].radiance)  # history of the lead-in is in it
+    assert both[4].reference.any()
+
+
 def test_estimates_of_other_weights_or_of_another_clip_are_made_anew(clips, tmp_path):
     folder, weights = shutil.copytree(clips, tmp_path / "clips"), tmp_path / "mine.safetensors"
     for seed in (0, 1):

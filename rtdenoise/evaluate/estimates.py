@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 
+from ..data.clip_file import LEAD_IN
 from ..data.clips import ClipDataset, estimate_path, estimated_signals, write_estimates
 from ..data.layers import SIGNALS
 from ..files import fingerprint, remove_unfinished
@@ -51,7 +52,7 @@ def write_all(
 
 @torch.inference_mode()
 def _denoised(clips: ClipDataset, index: int, signal: str, method):
-    """The frames of a clip as a method denoises them, `[T, 3, H, W]`."""
-    frames = clips.load(index, signal=signal)
+    """The frames of a clip, those of its lead-in too, as a method denoises them, `[T, 3, H, W]`."""
+    frames = clips.load(index, signal=signal, lead_in=clips.facts(index).get(LEAD_IN, 0))
     images = [output.image for output in outputs(method.step(), frames, method.delay)]
     return torch.cat(images).numpy()
