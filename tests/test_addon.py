@@ -252,6 +252,24 @@ def test_an_environment_is_made_by_blenders_python(parts, wheel, tmp_path, monke
     assert not (own / environment.READY).exists()
 
 
+def test_an_environment_of_another_wheel_is_brought_up_to_date(parts, tmp_path, monkeypatch):
+    """As after an update of the add-on; PyTorch stays, and nothing is downloaded where that is not allowed."""
+    environment, own, wheel = parts["environment"], tmp_path / "own", tmp_path / "rtdenoise.whl"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    for name in (environment.PYTHON, environment.READY):
+        (own / name).parent.mkdir(parents=True, exist_ok=True)
+        (own / name).touch()
+    for content in (b"new", b"newer"):
+        wheel.write_bytes(content)
+        assert environment.find("", own, wheel) is None
+        update, *others = environment.stages_to_make(own, wheel, "", online=False)
+        assert update.command[-3:] == ["--force-reinstall", "--no-deps", str(wheel)]
+        assert [stage.label for stage in others] == ["Trying rtdenoise"]
+        others[-1].after()
+        assert environment.find("", own, wheel) == [str(own / environment.PYTHON), "-m", "rtdenoise"]
+    assert len(environment.stages_to_make(own, wheel, "", online=True)) == 3
+
+
 @pytest.mark.parametrize(("options", "words"), [
     ({"online": False}, "allow online access"), ({"base": ""}, "Blender came without Python"),
     ({"wheel": None}, "lacks rtdenoise"),

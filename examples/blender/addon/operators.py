@@ -37,11 +37,12 @@ def shipped_wheel() -> Path | None:
 def find_or_make(context: bpy.types.Context) -> tuple[list[str], list]:
     """A command that runs rtdenoise, and the stages that have to be run before. Raises Trouble."""
     chosen, own = preferences(context), own_environment()
-    found = environment.find(bpy.path.abspath(chosen.python) if chosen and chosen.python else "", own)
+    wheel = shipped_wheel()
+    found = environment.find(bpy.path.abspath(chosen.python) if chosen and chosen.python else "", own, wheel)
     if found:
         return found, []
     index = chosen.torch_index if chosen else ""
-    stages = environment.stages_to_make(own, shipped_wheel(), index, getattr(bpy.app, "online_access", True))
+    stages = environment.stages_to_make(own, wheel, index, getattr(bpy.app, "online_access", True))
     return [str(own / environment.PYTHON), "-m", "rtdenoise"], stages
 
 
