@@ -126,6 +126,9 @@ def test_damaged_descriptions_of_arrays_are_one_line(shot, tmp_path, damage):
 def test_bad_files(shot, tmp_path, monkeypatch):
     assert "no signal 'indirect'" in message(open_sequence, shot, signal="indirect")
     assert message(open_sequence, shot, preset="noisebase:all").startswith("preset 'noisebase:all': expected")
+    for count in ("00", 5000 * "9"):
+        told = message(open_sequence, shot, preset=f"noisebase:{count}")
+        assert "expected noisebase:N" in told and len(told) < 120
     assert "has 8 samples a pixel, 9 were asked for (--preset noisebase:8" in message(
         open_sequence, shot, preset="noisebase:9"
     )

@@ -582,7 +582,7 @@ def test_options_that_would_be_left_aside(tmp_path, capsys, arguments, message):
 
 
 def test_wrong_options(tmp_path):
-    for text in ("1", "2/2", "a/b", "-1/2"):
+    for text in ("1", "2/2", "a/b", "-1/2", f"0/{5000 * '9'}"):
         with pytest.raises(InputError, match="expected i/n"):
             parse_shard(text)
     assert parse_shard("1/4") == (1, 4)

@@ -7,6 +7,7 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from reprlib import repr as shown
 
 from ..errors import InputError, did_you_mean
 from .exr_format import ExrHeader
@@ -17,6 +18,7 @@ from .layout_file import read_layout
 from .layouts import BMFR, FALCOR, LAYOUTS, MITSUBA, NAMES, NATIVE, OIDN, cycles
 from .noisebase import NOISEBASE
 
+MAX_DIGITS = 9  # of a number of samples
 ONE_FILE = ("native", "cycles", "mitsuba")  # presets with all layers in one file
 
 
@@ -52,8 +54,8 @@ def _holds_archives(source: Path) -> bool:
 def samples(name: str) -> int:
     """The number of samples a pixel to read: N of "noisebase:N", 1 for "noisebase". Raises `InputError`."""
     count = name.partition(":")[2] or "1"
-    if not count.isdecimal() or count == "0":
-        raise InputError(f"preset '{name}': expected noisebase:N with N samples a pixel, 1 or more")
+    if not count.isdecimal() or len(count) > MAX_DIGITS or int(count) == 0:
+        raise InputError(f"preset {shown(name)}: expected noisebase:N with N samples a pixel, 1 or more")
     return int(count)
 
 

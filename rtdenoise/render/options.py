@@ -11,6 +11,7 @@ from .metropolis import MetropolisOptions
 from .scenes import wide
 
 CAUSTIC = "caustic"  # generator of clips by Metropolis sampling
+MAX_SHARD = 20  # letters of a shard
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,8 @@ class ClipOptions:
 def parse_shard(text: str) -> tuple[int, int]:
     """(i, n) of 'i/n'. Raises InputError."""
     i, _, n = text.partition("/")
-    if not (i.isdecimal() and n.isdecimal() and int(i) < int(n)):
-        raise InputError(f"--shard {text}: expected i/n with 0 ≤ i < n, such as 0/4")
+    if not (i.isdecimal() and n.isdecimal() and len(text) <= MAX_SHARD and int(i) < int(n)):
+        raise InputError(f"--shard {text[:MAX_SHARD]}: expected i/n with 0 ≤ i < n, such as 0/4")
     return int(i), int(n)
 
 
