@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from synthetic import message
 
-from rtdenoise.data.exr import read_attributes, read_channels, read_header, write_layers
+from rtdenoise.data.exr import read_attributes, read_channels, read_header, write_layers, write_like
 from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 
@@ -164,6 +164,17 @@ def test_tiled_parts(tmp_path):
     OpenEXR.File(header, {"X": planes[0]}).write(str(tmp_path / "s.exr"))
     np.testing.assert_array_equal(read_channels(tmp_path / "s.exr", ["X"])["X"], planes[0])
     assert all(read_attributes(tmp_path / name)["screenWindowWidth"] == 1 for name in ("m.exr", "s.exr"))
+
+
+@pytest.mark.parametrize("order", ["INCREASING_Y", "DECREASING_Y", "RANDOM_Y"])
+def test_tiles_in_any_order_are_copied(tmp_path, order):
+    header = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription(), "lineOrder": getattr(OpenEXR, order)}
+    header["tiles"].xSize = header["tiles"].ySize = 16
+    kept, changed = noise(H, W), noise(H, W, seed=1)
+    OpenEXR.File(header, {"X": kept, "Y": kept}).write(str(tmp_path / "tiles.exr"))
+    write_like(tmp_path / "copy.exr", tmp_path / "tiles.exr", {"Y": changed})
+    copied = read_all(tmp_path / "copy.exr")
+    assert np.array_equal(copied["X"], kept) and np.array_equal(copied["Y"], changed)
 
 
 @pytest.mark.parametrize(("stored", "value"), [

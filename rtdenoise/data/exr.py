@@ -35,9 +35,11 @@ START = 8  # bytes in front of the attributes: magic, version and flags
 DECODER_NEEDS = 3  # times the decoded pixels: the file, OpenEXR's buffers, the result
 
 GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
-STRUCTURE = {"channels", "chunkCount", "name", "tiles", "type", "version"}  # attributes that the encoder makes itself
+STRUCTURE = {  # attributes that the encoder makes itself; scan lines have no random order, as tiles may have
+    "channels", "chunkCount", "lineOrder", "name", "tiles", "type", "version",
+}  # fmt: skip
 OF_THE_FILE = STRUCTURE | {  # and those that say nothing of a picture made from it, or are in `ExrHeader.placing`
-    "compression", "dwaCompressionLevel", "lineOrder", "multiView", "preview", "view",
+    "compression", "dwaCompressionLevel", "multiView", "preview", "view",
     "chromaticities", "dataWindow", "displayWindow", "pixelAspectRatio",
 }  # fmt: skip
 
