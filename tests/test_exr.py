@@ -193,6 +193,8 @@ def test_attributes_that_openexr_cannot_pass_on_do_no_harm(tmp_path, stored, val
         assert "a.exr: damaged: the pixels cannot be decoded" in message(read_all, tmp_path / "a.exr")
     else:
         np.testing.assert_array_equal(read_all(tmp_path / "b.exr")["V"], read_all(tmp_path / "a.exr")["V"])
+        write_like(tmp_path / "c.exr", tmp_path / "a.exr", {})
+        np.testing.assert_array_equal(read_all(tmp_path / "c.exr")["V"], read_all(tmp_path / "a.exr")["V"])
 
 
 def test_only_the_wanted_parts_are_decoded(tmp_path):

@@ -102,7 +102,7 @@ def read_attributes(path: str | os.PathLike) -> dict[str, object]:
         return {}
     return {
         name: value for name, value in found.items()
-        if name not in OF_THE_FILE and not name.startswith("cryptomatte/") and (not isinstance(value, list) or value)
+        if name not in OF_THE_FILE and not name.startswith("cryptomatte/") and _has_type(value)
     }  # fmt: skip
 
 
@@ -155,7 +155,8 @@ def write_like(
     parts, nans = [], {}
     for index, part in enumerate(header.parts):
         copy = _open(header.path, header, index)
-        attributes = {name: value for name, value in copy.header().items() if name not in STRUCTURE}
+        found = copy.header().items()
+        attributes = {name: value for name, value in found if name not in STRUCTURE and _has_type(value)}
         attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
         stored = {name: channel.pixels for name, channel in copy.channels().items()}
         passed_on = {full: stored[name] for full, name in part.full_names.items() if full not in changed}
@@ -168,6 +169,11 @@ def write_like(
     OpenEXR.File(parts).write(encoded)
     write_atomically(Path(path), encoded.getbuffer())
     return nans
+
+
+def _has_type(value: object) -> bool:
+    """Whether OpenEXR's Python can write an attribute: of an empty list it does not know the type."""
+    return not isinstance(value, list) or bool(value)
 
 
 def _default_dtype(key: str) -> str:
