@@ -71,6 +71,15 @@ def test_other_clips_are_not_taken_for_the_cleaned_ones(noisy, cleaned, tmp_path
         assert "is not the cleaned clip of" in capsys.readouterr().err
 
 
+def test_clips_that_the_folder_lacks_are_not_left_among_the_cleaned_ones(tmp_path, capsys):
+    noisy, out = write_clips(tmp_path / "noisy", range(2), size=16), tmp_path / "clean"
+    main(["clean", str(noisy), "--out", str(out)])
+    clip_path(noisy, 1).unlink()
+    with pytest.raises(SystemExit, match="2"):
+        main(["clean", str(noisy), "--out", str(out)])
+    assert f"{clip_path(out, 1)}: is not the cleaned clip of one in {noisy}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("what, message", [("itself", "is where the clips are"), ("twice", "denoised already")])
 def test_clips_are_neither_cleaned_in_place_nor_twice(noisy, cleaned, tmp_path, capsys, what, message):
     source, out = (noisy, noisy) if what == "itself" else (cleaned, tmp_path)

@@ -49,6 +49,9 @@ def clean(folder: Path, out: Path, progress: Callable[[int, int], None] = lambda
 
 def _clean_all(folder: Path, paths: list[Path], out: Path, progress: Callable[[int, int], None]) -> int:
     oidn = Oidn(prefilter=True)
+    if more := {path.name for path in out.glob("clip_*.safetensors")} - {path.name for path in paths}:
+        raise InputError(f"{out / min(more)}: is not the cleaned clip of one in {folder}, and training would take it; "
+                         "remove it, or choose another --out")  # fmt: skip
     missing = [path for path in paths if not _is_there(path, out / path.name)]
     for done, path in enumerate(missing):
         progress(done, len(missing))
