@@ -36,12 +36,13 @@ def motion(edge=EDGE, speed=-SPEED):
     return torch.cat([picture(edge, float(speed), 0.0), torch.zeros(1, 1, *SIZE)], dim=1)
 
 
-def kept(edge, reset=0.0, passing=1.0):
+def kept(edge, reset=0.0, passing=1.0, speed=-SPEED):
     """A frame whose front had light and surfaces of 1, what was behind of 9: no longer what is there. `passing`: what
     multiplies all distances, below 1 something passed before."""
     surfaces = picture(edge, 1.0, 9.0, 3)
     light = surfaces / (surfaces + GLOSS)
-    return keep(light, passing * picture(edge), surfaces, torch.full((1, 1, *SIZE), reset), motion(edge), surfaces)
+    resets, moves = torch.full((1, 1, *SIZE), reset), motion(edge, speed)
+    return keep(light, passing * picture(edge), surfaces, resets, moves, surfaces)
 
 
 def seen_now():
@@ -69,6 +70,7 @@ def test_the_front_covers_as_much_as_frames_saw():
     light, surface = values(result, EDGE - 1)
     assert surface == pytest.approx((FRONT + 1 + 2 * BEHIND) / 4, rel=1e-2)
     assert light == pytest.approx(FRONT + OVER_LIGHT * (surface - FRONT), rel=1e-2)
+    result = composed([kept(at[0] + 1), kept(at[1]), kept(at[2])])
     light, surface = values(result, EDGE)
     assert surface == pytest.approx((BEHIND + 1 + 2 * BEHIND) / 4, rel=1e-2)
     assert light == pytest.approx(BEHIND + OVER_LIGHT * (surface - BEHIND), rel=1e-2)
@@ -76,27 +78,43 @@ def test_the_front_covers_as_much_as_frames_saw():
     assert torch.equal(result[:, others], seen_now()[0, :, 4][:, others])
 
 
+@pytest.mark.parametrize("back", [-SPEED, 0, 6])
+def test_a_path_goes_on_with_the_front_beside(back):
+    """A camera that shakes goes the other way in the frame before, where the pixel itself saw what is behind."""
+    first, there = kept(EDGE - SPEED, speed=back), EDGE - SPEED + back
+    assert values(composed([first, kept(there)]), EDGE)[1] == BEHIND
+    assert values(composed([first, kept(there + 1)]), EDGE)[1] == pytest.approx((2 * BEHIND + 1) / 3, rel=1e-2)
+
+
+def test_a_path_ends_where_no_front_is_beside():
+    """How it moved there is unknown, and a guess leads to another part of the front, such as a lamp."""
+    for edge in (EDGE - 2 * SPEED + 1, SIZE[1]):
+        assert values(composed([kept(EDGE - SPEED - 1), kept(edge)]), EDGE)[1] == BEHIND
+
+
 def test_what_passed_before_both_leaves_nothing():
-    """Such a frame does not count; one whose front was as far as now, within a surface's tolerance, does."""
+    """Such a frame does not count, and no other beyond it; one whose front was as far as now, within a surface's
+    tolerance, does."""
     frames = [kept(EDGE - SPEED), kept(EDGE - 2 * SPEED), kept(EDGE - 3 * SPEED)]
     hidden = [frames[0], kept(EDGE - 2 * SPEED, passing=0.2), frames[2]]
     near = [frames[0], kept(EDGE - 2 * SPEED, passing=0.95), frames[2]]
     assert torch.equal(composed(near), composed(frames)) and not torch.equal(composed(hidden), composed(frames))
     for column in (EDGE - 1, EDGE):
         now, saw = (FRONT, 1.0) if column < EDGE else (BEHIND, BEHIND)
-        assert values(composed(hidden), column)[1] == pytest.approx((now + 2 * saw) / 3, rel=1e-2)
+        assert values(composed(hidden), column)[1] == pytest.approx((now + saw) / 2, rel=1e-2)
     nothing = [kept(EDGE - SPEED * k, passing=0.2) for k in range(1, 4)]
     torch.testing.assert_close(composed(nothing), composed([kept(EDGE - SPEED, reset=1.0, passing=0.2)]))
 
 
 def test_the_coverage_is_told():
-    """Beside the edge: whether the front is there now, and how many of three frames saw it; the last reset the rest."""
+    """Beside the edge: whether the front is there now, and how many of three frames saw it; the second reset the rest,
+    and there the path of the right pixel ends."""
     at = [EDGE - SPEED * k for k in range(1, 4)]
     recent = [kept(at[0] + 1), kept(at[1] - 1, reset=0.75), kept(at[2] + 1)]
     composed, coverage = over_and_coverage(seen_now(), seen_now(), motion(), picture(EDGE), recent)
     assert torch.equal(composed, over(seen_now(), seen_now(), motion(), picture(EDGE), recent))
     expected = torch.zeros(3, SIZE[1])
-    expected[:, EDGE - 1], expected[:, EDGE] = torch.tensor([1, 1.25, 2.25]), torch.tensor([0, 1.25, 2.25])
+    expected[:, EDGE - 1], expected[:, EDGE] = torch.tensor([1, 1.25, 2.25]), torch.tensor([0.0, 1, 2])
     torch.testing.assert_close(coverage, expected[None, :, None].expand(1, 3, *SIZE))
 
 

@@ -101,7 +101,7 @@ class Recent:
         """The footprints `seen`, this frame in them, with edges that move against what is behind them."""
         size = inputs.surface.shape[:2]
         buffers = {"seen": seen, "light": inputs.light, "guide": inputs.guide, "surface": inputs.surface}
-        buffers |= {"vectors": vectors, "front": self._scratch("front", (2, *size, 4))}
+        buffers |= {"vectors": vectors, "front": self._scratch("front", (*size, 4))}
         buffers["over"] = over = self._scratch("over", (3, *size, 4))
         for i, kept in enumerate(recent):
             at = {"FIRST": int(i == 0), "LAST": int(i == len(recent) - 1)}

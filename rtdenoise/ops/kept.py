@@ -17,6 +17,7 @@ from ..constants import (
     RECALL_FOOTPRINT_WORDS,
     RECALL_WORDS,
 )
+from .fetch import fetch
 
 CHANNELS = 3, 1, 3, 1, 2, 3, 2, 1  # of a kept frame: those of `Kept`, and nothing
 BESIDE = (0, 0), (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x): a pixel and the four beside it
@@ -64,6 +65,16 @@ def nearer(depth: Tensor, by: Tensor | float) -> Tensor:
     return (depth - by).clamp(min=torch.finfo(depth.dtype).tiny).where(depth > 0, depth)
 
 
+def kept_beside(kept: Tensor, motion: Tensor) -> tuple[Tensor, Tensor]:
+    """Distances, `[4, B, 1, H, W]`, and motions, `[4, B, 2, H, W]`, that a kept frame has in the four pixels beside
+    that where a whole `motion` leads. Borders are repeated."""
+    H, W = kept.shape[2:]
+    _, depth, _, _, moves = _unpacked(kept[:, :RECALL_WORDS]).split(CHANNELS[:5], dim=1)
+    padded = F.pad(torch.cat([distance(depth), moves], dim=1), (1, 1, 1, 1), mode="replicate")
+    found = torch.stack([fetch(padded[..., 1 + y : 1 + y + H, 1 + x : 1 + x + W], motion) for y, x in BESIDE[1:]])
+    return found[:, :, :1], found[:, :, 1:]
+
+
 def kept_nearer(kept: Tensor, by: Tensor) -> Tensor:
     """A kept frame whose surfaces are nearer by so much, `[B, 1, 1, 1]`; it is copied."""
     words = kept[:, RECALL_DEPTH : RECALL_DEPTH + 1]
@@ -97,14 +108,14 @@ class Path:
         self.motion, self.left = motion, torch.ones_like(motion[:, :1])  # `left`: the share that resets have left
 
     def look(self, kept: Tensor) -> Kept:
-        """What the path leads to, at the nearest pixel. Sets `inside`, whether it is on the screen, `cover`, the share
-        of the pixel there that the path's pixel covers, and `off`, the square of their distance, `[B, 1, H, W]`
-        each."""
+        """What the path leads to, at the nearest pixel. Sets `whole`, the motion to that pixel, `[B, 2, H, W]`,
+        `inside`, whether it is on the screen, `cover`, the share of the pixel there that the path's pixel covers, and
+        `off`, the square of their distance, `[B, 1, H, W]` each."""
         B, words, H, W = kept.shape
         x = torch.arange(W, device=kept.device, dtype=self.motion.dtype)
         y = torch.arange(H, device=kept.device, dtype=self.motion.dtype)[:, None]
         motion = torch.nan_to_num(self.motion, nan=FAR_AWAY).clamp(-FAR_AWAY, FAR_AWAY)
-        whole = motion.round()
+        self.whole = whole = motion.round()
         u, v = whole[:, :1] + x, whole[:, 1:] + y
         self.inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
         self.cover = (1 - (motion - whole).abs()).prod(1, keepdim=True)

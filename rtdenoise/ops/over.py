@@ -14,10 +14,18 @@ import torch
 from torch import Tensor
 
 from ..color import albedo_divisor
-from ..constants import DEPTH_TOLERANCE, OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_FOOTPRINT_WORDS, RECALL_SAME
+from ..constants import (
+    DEPTH_TOLERANCE,
+    FAR_AWAY,
+    OVER_APART,
+    OVER_LIGHT,
+    OVER_SPEED,
+    RECALL_FOOTPRINT_WORDS,
+    RECALL_SAME,
+)
 from .dispatch import Fused, Support, falls_back
 from .fetch import fetch
-from .kept import BESIDE, Path, check_kept, distance
+from .kept import BESIDE, Path, check_kept, distance, kept_beside
 
 SUPPORT = Support(channels={"seen": (9,), "motion": (2,), "depth": (1,)})
 FUSED = Fused("over.over_and_coverage", native=SUPPORT, triton=SUPPORT)
@@ -39,6 +47,9 @@ def over(
     of a pixel and the four beside it, distances d; there is an edge if
 
         d_F < (1 - APART) d_B    and    |motion(F) - motion(B)| > SPEED
+
+    Where frame j saw something else, the path goes on with the front that the first of the four pixels beside saw (up,
+    left, right, down), and ends if none did: how a front that is out of sight moved is unknown.
 
     Frames saw the front where something was nearer than √(d_F d_B), or than 2 d_F if nothing is behind. What was nearer
     than the front by more than a surface's tolerance (`constants.DEPTH_TOLERANCE`) passed before both: such a frame
@@ -82,13 +93,22 @@ def over_and_coverage(
         radiance = there.light * albedo_divisor(there.albedo, there.depth)
         total = total + weight * torch.where(is_front, torch.cat([radiance, there.albedo, there.normal], 1), back)
         weights, front_weights = weights + weight, front_weights + weight * is_front
-        onward = torch.where(is_front, there.motion, onward)
-        path.follow(onward, there.reset)
+        beside = _front_beside(kept, path.whole, (1 - DEPTH_TOLERANCE) * near, between)
+        path.follow(torch.where(is_front, there.motion, beside), there.reset)
     (light, surfaces), (was, _) = (x.split([3, 6], dim=1) for x in (total / weights, seen))
     light = torch.where((light - was).abs() <= RECALL_SAME * was, was, light)
     composed = torch.cat([torch.lerp(was, light, OVER_LIGHT), surfaces], dim=1)
     coverage = torch.cat([now_front, front_weights, weights - 1], dim=1).where(edge, 0)
     return torch.where(edge, composed, seen), coverage
+
+
+def _front_beside(kept: Tensor, at: Tensor, nearest: Tensor, between: Tensor) -> Tensor:
+    """The motion of the front in the first of the four pixels beside that where `at` leads that saw it, `[B, 2, H, W]`;
+    off the screen where none did."""
+    found = torch.full_like(at, FAR_AWAY)
+    for away, motion in reversed([*zip(*kept_beside(kept, at), strict=True)]):
+        found = torch.where((away >= nearest) & (away < between), motion, found)
+    return found
 
 
 def _ends(depths: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -10,8 +10,18 @@
 #pragma reads vec4 seen                             // [3, H, W] as `see` writes it
 #pragma reads vec4 light, vec4 guide, vec4 surface  // [H, W]
 #pragma reads vec4 vectors                          // [H, W] motion, motion_next
-#pragma changes vec4 front                          // [2, H, W] motion to the kept frame, share left, weights · motion onward
+#pragma changes vec4 front                          // [H, W] motion to the kept frame, share left, weights
 #pragma changes vec4 over                           // [3, H, W] sums, or at last as `seen`
+
+// The motion of the front in the first pixel beside that saw it in the kept frame; off the screen where none did.
+vec2 front_beside(ivec2 pixel, float least, float between) {
+    for (int k = 1; k < 5; ++k) {
+        KeptPixel other = kept_at(beside(pixel, k));
+        float away = distance_of(other.surface.w);
+        if (away >= least && away < between) return other.motion;
+    }
+    return vec2(FAR_AWAY);
+}
 
 void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
@@ -42,34 +52,27 @@ void main() {
     mat3 total;  // rgb, albedo, normal
     mat3 back = mat3(seen[farthest].rgb, seen[farthest + plane].rgb, seen[farthest + 2 * plane].xyz);
     vec4 come;
-    vec2 onward;
     if (FIRST == 1) {
         total = own < between ? mat3(light[i].rgb * divisor(guide[i]), guide[i].rgb, surface[i].xyz) : back;
-        onward = vectors[nearest].xy;
-        come = vec4(onward, 1.0, 1.0);
+        come = vec4(vectors[nearest].xy, 1.0, 1.0);
     } else {
         total = mat3(over[i].rgb, over[i + plane].rgb, over[i + 2 * plane].xyz);
         come = front[i];
-        onward = front[i + plane].xy;
     }
 
     vec2 motion = bounded(come.xy);
     ivec2 end = end_of(pixel, motion);
     if (inside(end, size)) {
         KeptPixel there = kept_at(end);
-        float away = distance_of(there.surface.w), weight = come.z * cover(motion);
-        if (away < (1.0 - DEPTH_TOLERANCE) * near) weight = 0.0;  // something passed before both
+        float away = distance_of(there.surface.w), weight = come.z * cover(motion), least = (1.0 - DEPTH_TOLERANCE) * near;
+        vec2 onward = there.motion;
+        if (away < least || away >= between) onward = front_beside(end, least, between);
+        if (away < least) weight = 0.0;  // something passed before both
         else if (away < between) {
             vec3 albedo = kept_edge_at(end).albedo;
             vec3 rgb = there.light * divisor(vec4(albedo, there.surface.w));
             total += weight * mat3(rgb, albedo, there.surface.xyz);
-            onward = there.motion;
-        } else {
-            total += weight * back;
-            // Behind it the front goes on as it did, but no path leads beyond a frame without motion: an export has empty
-            // frames there, or another shot's.
-            if (there.motion.x > 0.5 * FAR_AWAY) onward = there.motion;
-        }
+        } else total += weight * back;
         come = vec4(motion + onward, come.z * (1.0 - there.reset), come.w + weight);
     } else come.xy = vec2(FAR_AWAY);
 
@@ -80,7 +83,6 @@ void main() {
         total[0] = mix(was, now, OVER_LIGHT);
     }
     front[i] = come;
-    front[i + plane] = vec4(onward, 0.0, 0.0);
     over[i] = vec4(total[0], seen[i].w);
     over[i + plane] = vec4(total[1], seen[i + plane].w);
     over[i + 2 * plane] = vec4(total[2], seen[i + 2 * plane].w);

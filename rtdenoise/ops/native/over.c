@@ -17,11 +17,23 @@ typedef struct {
     int K, H, W;
 } Job;
 
-// The pixel and the four beside it, in the order of ops/recall.py.
+// The pixel and the four beside it, in the order of ops/kept.py.
 static inline void around(Job j, int x, int y, int64_t at[5]) {
     int64_t own = (int64_t)y * j.W + x;
     at[0] = own, at[1] = y ? own - j.W : own, at[2] = x ? own - 1 : own;
     at[3] = x + 1 < j.W ? own + 1 : own, at[4] = y + 1 < j.H ? own + j.W : own;
+}
+
+// The motion of the front in the first pixel beside (x, y) that saw it in a kept frame; off the screen where none did.
+static inline void front_beside(Job j, const uint32_t *kept, int x, int y, float nearest, float between, float motion[2]) {
+    int64_t at[5];
+    around(j, x, y, at);
+    motion[0] = motion[1] = FAR_AWAY;
+    for (int i = 4; i > 0; i--) {
+        const uint32_t *w = kept + at[i] * WORDS;
+        float away = distance(high(w[1]));
+        if (away >= nearest && away < between) motion[0] = low(w[4]), motion[1] = high(w[4]);
+    }
 }
 
 // Whether distances around the pixels of row y differ enough for an edge; `found` has a value for each of them.
@@ -49,8 +61,8 @@ static inline void compose(Job j, int x, int y) {
         if (other < (1 - j.apart) * near) front = at[i], near = other;
         if ((1 - j.apart) * other > far) behind = at[i], far = other;
     }
-    float onward_x = j.motion[front], onward_y = j.motion[plane + front];
-    float dx = onward_x - j.motion[behind], dy = onward_y - j.motion[plane + behind];
+    float mx = j.motion[front], my = j.motion[plane + front];
+    float dx = mx - j.motion[behind], dy = my - j.motion[plane + behind];
     if (!(near < (1 - j.apart) * far) || !(dx * dx + dy * dy > j.speed * j.speed)) return;
 
     float between = isinf(far) ? 2 * near : sqrtf(near) * sqrtf(far), back[SEEN], sum[SEEN], weights = 1, fronts = 0, left = 1;
@@ -59,13 +71,14 @@ static inline void compose(Job j, int x, int y) {
         back[c] = j.seen[c * plane + behind];
         sum[c] = now_front ? j.now[c][own] : back[c];
     }
-    float mx = onward_x, my = onward_y;
     for (int k = 0; k < j.K; k++) {
         float u = nearbyintf(bounded(mx)) + x, v = nearbyintf(bounded(my)) + y;
         if (!((u >= 0) & (u < j.W) & (v >= 0) & (v < j.H))) break;  // a path ends off the screen
         const uint32_t *w = j.kept[k] + ((int64_t)v * j.W + (int64_t)u) * WORDS;
         float away = distance(high(w[1])), weight = left * covered(mx) * covered(my);
-        if (away < (1 - (float)TOLERANCE) * near)  // something passed before both
+        float nearest = (1 - (float)TOLERANCE) * near, onward[2] = {low(w[4]), high(w[4])};
+        if (away < nearest || away >= between) front_beside(j, j.kept[k], u, v, nearest, between, onward);
+        if (away < nearest)  // something passed before both
             weight = 0;
         else if (away < between) {  // it was hit, then
             float albedo[3] = {low(w[5]), high(w[5]), low(w[6])}, light[3] = {low(w[0]), high(w[0]), low(w[1])};
@@ -75,13 +88,12 @@ static inline void compose(Job j, int x, int y) {
                 sum[3 + c] += weight * albedo[c];
                 sum[6 + c] += weight * normal[c];
             }
-            onward_x = low(w[4]), onward_y = high(w[4]);
             fronts += weight;
         } else
             for (int c = 0; c < SEEN; c++) sum[c] += weight * back[c];
         weights += weight;
         left *= 1 - high(w[3]);
-        mx += onward_x, my += onward_y;
+        mx += onward[0], my += onward[1];
     }
     for (int c = 0; c < SEEN; c++) {
         int64_t to = c * plane + own;

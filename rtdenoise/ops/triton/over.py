@@ -14,7 +14,33 @@ from torch import Tensor
 
 from ...constants import DEPTH_TOLERANCE, FAR_AWAY, GLOSS, OVER_APART, OVER_LIGHT, OVER_SPEED, RECALL_SAME
 from .common import BLOCK, grid, place
-from .path import beside, bounded, distance, end_of, frame_of, kept_at, kept_edge_at, onward, radiance, stacked, whole
+from .path import (
+    beside,
+    bounded,
+    distance,
+    end_of,
+    frame_of,
+    kept_at,
+    kept_edge_at,
+    onward,
+    radiance,
+    stacked,
+    two,
+    whole,
+)
+
+
+@triton.jit
+def front_beside(kept, plane, at, exists, nearest, between, H, W, FAR_AWAY: tl.constexpr):
+    """The motion of the front in the first pixel beside those `at` that saw it; off the screen where none did."""
+    u, v = tl.where(exists, FAR_AWAY, FAR_AWAY), tl.where(exists, FAR_AWAY, FAR_AWAY)
+    for k in tl.static_range(4, 0, -1):
+        other = beside(at // W, at % W, k, H, W)
+        _, depth = two(kept + plane + other, exists)
+        other_u, other_v = two(kept + 4 * plane + other, exists)
+        shows = (distance(depth) >= nearest) & (distance(depth) < between)
+        u, v = tl.where(shows, other_u, u), tl.where(shows, other_v, v)
+    return u, v
 
 
 @triton.jit
@@ -47,7 +73,6 @@ def _over(seen, now_light, now_albedo, now_normal, motion, depth, recent, out, c
     between = tl.where(far == float("inf"), 2 * near, tl.sqrt(near) * tl.sqrt(far))
     now_front = own < between
 
-    onward_u, onward_v = u, v
     left = tl.where(edge, 1.0, 0.0)
     fronts = tl.zeros([BLOCK], tl.float32)
     backs, s0, s1, s2, s3, s4, s5, s6, s7, s8 = (
@@ -76,8 +101,9 @@ def _over(seen, now_light, now_albedo, now_normal, motion, depth, recent, out, c
         s7 += weight * ny
         s8 += weight * nz
         left *= 1 - reset
-        onward_u, onward_v = tl.where(is_front, more_u, onward_u), tl.where(is_front, more_v, onward_v)
-        u, v = onward(u, v, onward_u, onward_v, inside, FAR_AWAY)
+        beside_u, beside_v = front_beside(kept, plane, there, inside, (1 - tolerance) * near, between, H, W, FAR_AWAY)
+        more_u, more_v = tl.where(is_front, more_u, beside_u), tl.where(is_front, more_v, beside_v)
+        u, v = onward(u, v, more_u, more_v, inside, FAR_AWAY)
 
     weights = 1 + fronts + backs
     for k in tl.static_range(9):
