@@ -32,9 +32,9 @@ from rtdenoise.baselines.oidn import installed
 from rtdenoise.frame import Frame
 
 RESULT, PAGES = RESULTS / "latency_720p.json", (DOCS / "results" / "performance.md",)
-ON_CUDA, ON_AMX = RESULTS / "latency_720p_cuda.json", RESULTS / "latency_720p_amx.json"
-OTHER_RESULTS = (ON_CUDA, ON_AMX)  # with tables on the same pages
-SHORT = {ON_AMX: ("latency-amx", ("bf16", "int8"))}  # section, precisions
+ON_CUDA, ON_AMX, ON_AVX2 = (RESULTS / f"latency_720p_{device}.json" for device in ("cuda", "amx", "avx2"))
+OTHER_RESULTS = (ON_CUDA, ON_AMX, ON_AVX2)  # with tables on the same pages
+SHORT = {ON_AMX: ("latency-amx", ("bf16", "int8")), ON_AVX2: ("latency-avx2", ("fp32", "int8"))}  # section, precisions
 SIZES = {
     "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
