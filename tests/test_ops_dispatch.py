@@ -71,7 +71,7 @@ def test_every_fused_op_has_the_name_of_its_plain_one():
         assert {file.stem for file in (Path(*ops.__path__) / folder).glob("*.py")} == expected
     sources = {file.stem for file in (Path(*ops.__path__) / "native").glob("*.c")}
     # apply_kernel.c blends; convolve_bytes.py asks multiplies_bytes.c, and has two ways
-    assert sources == files["native"] - {*shared, "blend_history"} | {"multiplies_bytes", "convolve_winograd"}
+    assert sources == files["native"] - {*shared, "blend_history"} | {"multiplies_bytes", "convolve_pairs"}
 
 
 def test_the_page_of_backends_names_what_is_fused():

@@ -472,7 +472,7 @@ def test_convolve_bytes_on_other_cpus(both, on_cpu, multiplies, has, dtype, chan
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (5, 4), (7, 25)], ids=str)
 @pytest.mark.parametrize(("below", "beside", "outputs"), [(4, 4, 4), (20, 256, 33), (112, 48, 40)])
-def test_convolve_bytes_by_winograd(both, on_cpu, size, below, beside, outputs):
+def test_convolve_bytes_by_pairs(both, on_cpu, size, below, beside, outputs):
     """Also of inputs and weights as great as they can be, whose mixtures 16 bits must hold."""
     on_cpu(PAIRS)
     H, W = size

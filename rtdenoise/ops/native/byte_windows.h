@@ -1,4 +1,4 @@
-// Windows of pictures of bytes, for convolve_bytes.c and convolve_winograd.c. SPAN: the pixels of a row that a block reads at
+// Windows of pictures of bytes, for convolve_bytes.c and convolve_pairs.c. SPAN: the pixels of a row that a block reads at
 // most; a picture has MOST channels at most.
 // A picture that a convolution reads: bytes [height, width, channels], through windows of taps × taps pixels. Neighbouring
 // outputs of a block read windows that are `step` pixels apart.

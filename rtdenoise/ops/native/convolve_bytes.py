@@ -27,7 +27,7 @@ def convolve_bytes(
     O = factor.shape[1]
     weight, factor, bias = weight.contiguous(), factor.contiguous(), bias.contiguous()
     out = torch.empty(B, O, H, W, dtype=dtype, device="cpu", memory_format=torch.channels_last)
-    way = "convolve_winograd" if multiplies() == PAIRS else "convolve_bytes"
+    way = "convolve_pairs" if multiplies() == PAIRS else "convolve_bytes"
     run = library(way, HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
     for b in range(B):
         beside = _Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
