@@ -44,7 +44,7 @@ FIREFLY_ALIKE = 5  # of the eight pixels around a firefly, so many at least show
 # Edges that move against what is behind them (`ops.over`).
 OVER_APART = 0.05  # least difference of distances, as a share of the greater one
 OVER_SPEED = 0.5  # least motion against what is behind, in pixels a frame
-OVER_LIGHT = 0.25  # share of radiance that is what frames saw of both; the rest is the footprint of one
+OVER_LIGHT = 0.5  # share of radiance that is what frames saw of both; the rest is the footprint of one
 
 # Surfaces that turn (`ops.turned`).
 TURNED_CELL = 4  # side in pixels of the cells over which normals are compared; 3 × 3 cells count together
