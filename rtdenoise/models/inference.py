@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..errors import InputError
-from ..ops.convolve import convolve, mixed
+from ..ops.convolve import MOST, convolve, mixed
 from ..ops.convolve_bytes import multiplies_bytes
 from ..ops.dispatch import compiled
 from ..ops.features import filled
@@ -126,7 +126,8 @@ class _FusedConvRelu(ConvRelu):
 
     def filter_minimally(self) -> None:
         """Take half of the products in float32 on a CPU (`ops.convolve`)."""
-        if self.kernel_size == (3, 3) and self.padding == (1, 1) and self.stride == (1, 1) and self.groups == 1:
+        usual = self.kernel_size == (3, 3) and self.padding == (1, 1) and self.stride == (1, 1) and self.groups == 1
+        if usual and self.in_channels <= MOST:
             self.register_buffer("of_mixtures", mixed(self.weight), persistent=False)
             self.minimal = True
 
@@ -170,8 +171,9 @@ class _FusedUp(Up):
 
     def filter_minimally(self) -> None:
         """As that of `_FusedConvRelu`; the coarser level is read at its own size here, too."""
-        self.register_buffer("of_mixtures", mixed(self[0].weight, self.below), persistent=False)
-        self.minimal = True
+        if max(self.below, self[0].in_channels - self.below) <= MOST:
+            self.register_buffer("of_mixtures", mixed(self[0].weight, self.below), persistent=False)
+            self.minimal = True
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         if self.minimal and x.device.type == "cpu":
