@@ -1,5 +1,6 @@
 // Vectors of sums of products of bytes, for convolve_bytes.c, and its results. LANES may be given: 16, 8 or 4, for code of
 // CPUs that have less. With PAIRS, for convolve_pairs.c, products are of two numbers of 16 bits.
+typedef uint8_t value;  // of pictures that are read
 #if HALF
 typedef uint16_t number;
 static inline number result(float y) {  // rounded to nearest, ties to even

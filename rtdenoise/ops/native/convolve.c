@@ -28,28 +28,11 @@
 #define SPAN (2 * TILES + 2 + LANES)
 #define ROOM (25 * TILES * MOST)  // mixtures of inputs
 #define CACHED (1 << 18)          // weights
+typedef float value;
+#include "windows.h"
 typedef float vector __attribute__((vector_size(LANES * 4)));
 typedef float loose __attribute__((vector_size(LANES * 4), aligned(4)));  // anywhere in memory
 typedef int32_t mask __attribute__((vector_size(LANES * 4)));
-
-// A picture that a convolution reads, [height, width, channels]; `sums` along an axis have products of it: the first ones.
-typedef struct {
-    const float *pixels;
-    int height, width, channels, size;
-} source;
-
-// `rows[v]`: `pixels` from column `left` of row `top + v`; zeros where there are none, for which `space` is used.
-static inline void window(const source *s, int top, int left, int pixels, const float **rows, float (*space)[SPAN * MOST]) {
-    int from = MAX(left, 0), to = MIN(left + pixels, s->width), C = s->channels;
-    for (int v = 0; v < s->size; v++) {
-        int y = top + v, inside = y >= 0 && y < s->height;
-        const float *row = inside ? s->pixels + ((int64_t)y * s->width + from) * C : NULL;
-        rows[v] = row;
-        if (inside && from == left && to == left + pixels) continue;
-        rows[v] = memset(space[v], 0, (size_t)pixels * C * sizeof **space);
-        if (inside && from < to) memcpy(space[v] + (from - left) * C, row, (size_t)(to - from) * C * sizeof *row);
-    }
-}
 
 // The mixtures of `size` inputs `step` from each other take their place: 4, or 3 of a smaller picture.
 static inline __attribute__((always_inline)) void mix(int size, vector *d, int step) {
@@ -129,11 +112,11 @@ static void convolved(const source *below, const source *beside, const float *we
         groups = MIN(groups, (W - first + 2 * TILES - 1) / (2 * TILES));
         for (int g = 0; g < groups; g++) {
             int j = first + g * 2 * TILES, unread = (LANES - 1) / C + 1;  // pixels after a window that its last vector holds, too
-            window(beside, i - 1, j - 1, 2 * TILES + 2 + unread, rows, space);
+            window(beside, i - 1, j - 1, 4, 2 * TILES + 2 + unread, rows, space);
             mixed(4, rows, C, inputs + g * each, of_beside);
             if (!D) continue;
             unread = (LANES - 1) / D + 1;
-            window(below, i / 2 - 1, j / 2 - 1, TILES + 2 + unread, rows, space);
+            window(below, i / 2 - 1, j / 2 - 1, 3, TILES + 2 + unread, rows, space);
             mixed(3, rows, D, inputs + g * each + 16 * of_beside, of_below);
         }
         for (int o = 0; o < outputs; o += BLOCK)

@@ -16,7 +16,7 @@
 #else
 #define SPAN (2 * PIXELS + 1)
 #endif
-#include "byte_windows.h"
+#include "windows.h"
 
 // Add a source's products to the sums of PIXELS pixels and `parts` vectors of outputs; returns the weights after its own.
 // `stride`: bytes from the weights of four channels to those of the next four.

@@ -13,10 +13,10 @@ from .compiler import library, pointer
 PAIRS, BYTES = 1, 2  # of multiplies_bytes.c
 
 
-class _Source(Structure):
+class Source(Structure):
     """A picture that a convolution reads; the C file says more."""
 
-    _fields_ = [("bytes", c_void_p), *((name, c_int) for name in ("height", "width", "channels", "taps", "step"))]
+    _fields_ = [("pixels", c_void_p), *((name, c_int) for name in ("height", "width", "channels", "taps", "step"))]
 
 
 def convolve_bytes(
@@ -30,8 +30,8 @@ def convolve_bytes(
     way = "convolve_pairs" if multiplies() == PAIRS else "convolve_bytes"
     run = library(way, HALF=int(dtype == torch.bfloat16), MOST=MOST).convolve_bytes
     for b in range(B):
-        beside = _Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
-        coarse = _Source() if below is None else _Source(below[b].data_ptr(), H // 2, W // 2, below.shape[1], 2, 1)
+        beside = Source(x[b].data_ptr(), H, W, C, 3, 1 if below is None else 2)
+        coarse = Source() if below is None else Source(below[b].data_ptr(), H // 2, W // 2, below.shape[1], 2, 1)
         if run(byref(coarse), byref(beside), *map(pointer, (weight, factor, bias, out[b])), quads, stored, O, H, W,
                torch.get_num_threads()):  # fmt: skip
             raise MemoryError("no memory for the weights of a convolution")

@@ -19,7 +19,7 @@
 #define TILES PIXELS           // of 2×2 results, at once
 #define GROUP 16               // channels of a tile that lie side by side
 #define SPAN (4 * TILES + 1 + GROUP / 4)
-#include "byte_windows.h"
+#include "windows.h"
 
 typedef uint8_t bytes __attribute__((vector_size(GROUP)));
 typedef int16_t inputs __attribute__((vector_size(GROUP * 2)));
