@@ -23,11 +23,13 @@ def pictures(model, **options):
     return [denoiser(frame.radiance, **{name: getattr(frame, name) for name in FEATURES}) for frame in FRAMES]
 
 
-@pytest.mark.parametrize("model", ["default", "hybrid-fast", "paper"])
-def test_pictures(model, dtype):
-    expected = pictures(model, precision="fp32")
+@pytest.mark.parametrize(
+    "model, precision", [("default", "fp32"), ("hybrid-fast", "fp32"), ("paper", "fp32"), ("hybrid-fast", "int8")]
+)
+def test_pictures(model, precision, dtype):
+    expected = pictures(model, precision=precision)
     torch.set_default_dtype(dtype)
-    for image, other in zip(pictures(model, precision="fp32"), expected, strict=True):
+    for image, other in zip(pictures(model, precision=precision), expected, strict=True):
         assert image.dtype == torch.float32 and torch.equal(image, other)
 
 

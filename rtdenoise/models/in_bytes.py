@@ -94,7 +94,7 @@ def _convolutions(network: nn.Module, prefix: str, layers: dict[str, Layer], sto
     def step(picture: Picture) -> Tensor:
         if picture.maker in stored:
             return stored[picture.maker]["step"]
-        return torch.full((picture.channels,), 1 / SURFACE)  # albedo or normal
+        return torch.full((picture.channels,), 1 / SURFACE, dtype=torch.float32)  # albedo or normal
 
     made = {}
     for name, layer in layers.items():
@@ -104,7 +104,7 @@ def _convolutions(network: nn.Module, prefix: str, layers: dict[str, Layer], sto
         if layer.careful:
             found = {part: found[part] for part in ("weight", "factor", "bias")}
         else:
-            of_result = torch.ones(layer.outputs) if layer.numbers else found["step"]
+            of_result = torch.ones(layer.outputs, dtype=torch.float32) if layer.numbers else found["step"]
             found = rounded(network.get_submodule(inner), [step(picture) for picture in layer.reads], of_result)
         made[inner] = Convolution(**found, numbers=layer.numbers)
     return made
