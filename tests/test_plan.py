@@ -12,7 +12,7 @@ from rtdenoise.frame import OFF_SCREEN, Known
 from rtdenoise.models import AccumulatedKPNConfig, TemporalKPN, available, create, load
 from rtdenoise.motion import dual_motion, occlusion_mask
 from rtdenoise.run.denoise import Options, denoise
-from rtdenoise.run.plan import look, make_plan
+from rtdenoise.run.plan import look, make_plan, varied_rows
 from rtdenoise.run.planned import Planned
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.splat import splat_motion_next
@@ -174,6 +174,15 @@ def sky(count, light=0.0, H=400):
     above = torch.arange(H).reshape(1, 1, H, 1) < H - 40
     colour = torch.tensor([0.5, 0.7, 1.0]).reshape(1, 3, 1, 1) * light
     return [replace(f, radiance=torch.where(above, colour, f.radiance)) for f in frames]
+
+
+@pytest.mark.parametrize("place", [0, -1])
+def test_light_that_is_not_finite_is_examined_without_a_warning(place):
+    image = np.ones((1, 3, 6, 8), np.float32)
+    image[..., place, place] = np.inf
+    with np.errstate(all="raise"):
+        top, bottom, colour = varied_rows(image)
+    assert (top, bottom) == ((0, 1) if place == 0 else (5, 6)) and (colour == 1).all()
 
 
 @pytest.mark.parametrize("light", [0.0, 1.7])

@@ -131,7 +131,8 @@ def varied_rows(image: Tensor) -> tuple[int, int, Tensor]:
 
 def rows_unlike(image: Tensor, colour: Tensor, tolerance: float = 0.0) -> tuple[int, int] | None:
     """First and last (excluded) row that differs from `colour` by more than `tolerance`; None if no row does."""
-    differs = ~(abs(image - colour) <= tolerance)  # True for NaN too
+    with np.errstate(invalid="ignore"):  # frames that are examined first are not sanitised
+        differs = ~(abs(image - colour) <= tolerance)  # True for NaN too
     unlike = [row for row, found in enumerate(differs.any(1).any(2).any(0).tolist()) if found]
     return (unlike[0], unlike[-1] + 1) if unlike else None
 
