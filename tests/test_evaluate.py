@@ -232,6 +232,13 @@ def test_it_ends_with_a_table_of_what_was_measured(shot, tmp_path, monkeypatch, 
     assert "SSIM" in told and "FLIP" not in told and "corrected" not in told
 
 
+def test_the_table_has_names_of_folders_as_they_are(tmp_path, capsys):
+    shot = write_sequence(tmp_path / "shot[v2]:cat:", make_frames(2))
+    main(["evaluate", str(shot), "--out", str(tmp_path / "out"), "--methods", "noisy", "--metrics", "psnr"])
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [row[0] for row in rows if row[2:3] == ["noisy"]] == [shot.name]
+
+
 def test_metrics_can_be_chosen_and_what_is_missing_is_added(shot, tmp_path, monkeypatch):
     out = tmp_path / "out"
     main(["evaluate", str(shot), "--out", str(out), "--methods", "noisy", "--metrics", "psnr", "ssim"])

@@ -82,5 +82,5 @@ class Evaluate:
                   f"faster: --precision {own} measures that")  # fmt: skip
         if not document.results:
             raise InputError(f"{out}: nothing was measured, for the reasons above")
-        Console().print(summary(document.results))
+        Console(markup=False, emoji=False).print(summary(document.results))
         print(f"{out}: {counted(len(document.results), 'result')}; `rtdenoise report {out}` draws them")
