@@ -147,8 +147,8 @@ def _seen(frame: Frame) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     step = seen_step(frame.size)
     layers = {name: getattr(frame, name) for name in ("radiance", "depth", "normal", "motion")}
     layers = {
-        name: torch.as_tensor(layer)[..., ::step, ::step].contiguous() for name, layer in layers.items()
-        if layer is not None
+        name: (layer if isinstance(layer, Tensor) else torch.from_numpy(layer))[..., ::step, ::step].contiguous()
+        for name, layer in layers.items() if layer is not None
     }  # fmt: skip
     layers = replace_invalid(layers, VALID)
     motion = layers["motion"] / step if "motion" in layers else None

@@ -1,5 +1,6 @@
-"""Programs that set torch's default dtype get the same pictures and gradients."""
+"""Programs that set torch's default dtype, or its default device, get the same pictures and gradients."""
 
+import numpy as np
 import pytest
 import torch
 from synthetic import make_frames
@@ -18,9 +19,10 @@ def dtype(request):
     torch.set_default_dtype(torch.float32)
 
 
-def pictures(model, **options):
+def pictures(model, frames=FRAMES, **options):
     denoiser = Denoiser(model, **options)
-    return [denoiser(frame.radiance, **{name: getattr(frame, name) for name in FEATURES}) for frame in FRAMES]
+    images = [denoiser(frame.radiance, **{name: getattr(frame, name) for name in FEATURES}) for frame in frames]
+    return [image for image in (*images, *denoiser.flush()) if image is not None]
 
 
 @pytest.mark.parametrize(
@@ -31,6 +33,18 @@ def test_pictures(model, precision, dtype):
     torch.set_default_dtype(dtype)
     for image, other in zip(pictures(model, precision=precision), expected, strict=True):
         assert image.dtype == torch.float32 and torch.equal(image, other)
+
+
+@pytest.mark.parametrize("options", [{"precision": "fp32"}, {"precision": "int8"}, {"lookahead": 3}], ids=str)
+def test_pictures_of_another_default_device(options):
+    arrays = [frame.map(torch.Tensor.numpy) for frame in FRAMES]
+    expected = pictures("hybrid-fast", arrays, device="cpu", **options)
+    torch.set_default_device("meta")  # holds no values: whatever lies there cannot be in a picture
+    try:
+        found = pictures("hybrid-fast", arrays, device="cpu", **options)
+    finally:
+        torch.set_default_device(None)
+    assert all(np.array_equal(image, other) for image, other in zip(found, expected, strict=True))
 
 
 def test_random_weights(dtype):

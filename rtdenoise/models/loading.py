@@ -57,11 +57,12 @@ def load(
     that is no field, weights that are not finite or do not fit their configuration, and a model that has none in bytes.
     """
     (device, dtype), file = _placed(device, precision), read_denoiser(model, **overrides)
-    network = _built(file)
-    if isinstance(network, Hybrid):  # which need footprints themselves
-        network.keeps_footprint = overrides.get("footprint", False)
-    if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
-        _into_bytes(network, file.path, must=precision == INT8)
+    with torch.device("cpu"):  # whatever torch's default device is
+        network = _built(file)
+        if isinstance(network, Hybrid):  # which need footprints themselves
+            network.keeps_footprint = overrides.get("footprint", False)
+        if precision == INT8 or (has_bytes(file.path) and takes_bytes(precision, device)):
+            _into_bytes(network, file.path, must=precision == INT8)
     network = network.to(device)
     shows_rounding = isinstance(network, Hybrid) and network.config.many and network.config.clean
     return _prepared(network, dtype) if precision == "auto" and shows_rounding else prepare(network, dtype)

@@ -40,4 +40,5 @@ def fill(addresses: Tensor, tensors: Sequence[Tensor]) -> None:
     """Write where contiguous tensors lie into a `table`. On CUDA nothing waits: pinned memory that is being copied is
     not given out again before the copy is done."""
     rows = [[tensor.data_ptr(), 0] for tensor in tensors]
-    addresses.copy_(torch.tensor(rows, dtype=torch.int64, pin_memory=addresses.is_cuda), non_blocking=True)
+    here = torch.tensor(rows, dtype=torch.int64, device="cpu", pin_memory=addresses.is_cuda)
+    addresses.copy_(here, non_blocking=True)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -109,7 +110,7 @@ class TorchBackend:
         from ..sanitise import sanitise
 
         with self._inference(frame):
-            return sanitise(frame.map(torch.as_tensor).to(self.device))
+            return sanitise(frame.map(partial(torch.as_tensor, device=self.device)))
 
     def step(self, frame: Frame, history: Any, ahead: tuple[Frame, ...] = ()) -> tuple[np.ndarray, Any]:
         image, history = self.denoise(frame, history, ahead)
