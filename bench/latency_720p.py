@@ -2,7 +2,7 @@
 
 python bench/latency_720p.py                          # 1280×720, on CUDA where it is; `default`, `hybrid` larger, too
 python bench/latency_720p.py --sizes 720p 4k          # everything at both sizes
-python bench/latency_720p.py --quick                  # 64×36, some seconds
+python bench/latency_720p.py --quick                  # 32×18, some seconds
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ON_CUDA, ON_AMX, ON_AVX2 = (RESULTS / f"latency_720p_{device}.json" for device i
 OTHER_RESULTS = (ON_CUDA, ON_AMX, ON_AVX2)  # with tables on the same pages
 SHORT = {ON_AMX: ("latency-amx", ("bf16", "int8")), ON_AVX2: ("latency-avx2", ("fp32", "int8"))}  # section, precisions
 SIZES = {
-    "quick": (64, 36), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
+    "quick": (32, 18), "360p": (640, 360), "720p": (1280, 720), "1080p": (1920, 1080), "1440p": (2560, 1440),
     "4k": (3840, 2160),
 }  # fmt: skip
 AT_ALL_SIZES = "default", "hybrid"  # models
@@ -59,7 +59,7 @@ class Options:
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
     quick: bool = False
-    """64×36, 3 calls."""
+    """32×18, 3 calls."""
     out: Path | None = None
     """JSON file; its table and plot go beside it, .md and .png (default: that of the device in bench/results; it also
     updates docs/results/performance.md and the plot there, unless --quick)."""

@@ -15,11 +15,13 @@ if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1)) > 1:
 
 import numpy as np
 import pytest
+import quicker_halves
 import torch
 from environments import Environment, blender_python, build_wheel
 from PIL import Image
 from tolerances import TOLERANCES
 
+quicker_halves.install()
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when Triton is imported
 with contextlib.suppress(ImportError):

@@ -204,7 +204,8 @@ def test_a_combiner_is_one_line(tmp_path):
 
 @pytest.mark.parametrize("does", [r"printf 'bad \\377 line\\nmore\\n'; exit 3", "exit 0"])
 def test_a_broken_compiler_is_one_line(tmp_path, monkeypatch, does):
-    """It complains in bytes that are no text, or writes no file."""
+    """It complains in bytes that are no text, or writes no file. Once it is mended the same folder is
+    completed."""
     compiler = tmp_path / "glslangValidator"
     compiler.write_text(f"#!/bin/sh\n{does}\n")
     compiler.chmod(0o755)
@@ -212,3 +213,8 @@ def test_a_broken_compiler_is_one_line(tmp_path, monkeypatch, does):
     with pytest.raises(InputError, match=r"\.comp: .*glslangValidator rejects it: (bad|exit code 0)") as caught:
         export(tmp_path / "out", "fast", (9, 5))
     assert "\n" not in str(caught.value)
+    compiler.unlink()
+    monkeypatch.undo()
+    assert export(tmp_path / "out", "fast", (9, 5)).spirv and (tmp_path / "out" / "export.json").exists()
+    with pytest.raises(InputError, match="is not an empty folder"):
+        export(tmp_path / "out", "fast", (9, 5))

@@ -245,6 +245,7 @@ def test_outdated_light_is_that_of_torch_in_the_shaders(name, shot, gl, assert_i
     network, pipeline = models.read(name), glsl.Pipeline.load(name)
     history = resident = None
     for i, frame in enumerate(shot):
+        frame = frame.map(lambda t: t[..., 8:56, 16:80].contiguous())  # three cells by four
         known = Known(still=i == 3)
         if i >= 2:  # in the last one nothing moves
             frame = replace(frame, motion=frame.motion * (i == 2), motion_next=0 * frame.motion)

@@ -8,10 +8,13 @@ import torch
 from synthetic import TINY, make_frames, save_tiny, write_sequence
 
 from rtdenoise.data.opening import open_sequence
+from rtdenoise.errors import InputError
 from rtdenoise.frame import OFF_SCREEN, Known
 from rtdenoise.models import AccumulatedKPNConfig, TemporalKPN, available, create, load
 from rtdenoise.motion import dual_motion, occlusion_mask
 from rtdenoise.run.denoise import Options, denoise
+from rtdenoise.run.normals import are_encoded
+from rtdenoise.run.parts import check_sign
 from rtdenoise.run.plan import look, make_plan, varied_rows
 from rtdenoise.run.planned import Planned
 from rtdenoise.run.tiles import Tiled
@@ -183,6 +186,16 @@ def test_light_that_is_not_finite_is_examined_without_a_warning(place):
     with np.errstate(all="raise"):
         top, bottom, colour = varied_rows(image)
     assert (top, bottom) == ((0, 1) if place == 0 else (5, 6)) and (colour == 1).all()
+
+
+def test_the_greatest_floats_are_examined_without_a_warning():
+    frame = make_frames(1)[0].map(torch.Tensor.numpy)
+    frame.normal[..., 0, 0] = frame.radiance[..., 0, :2] = 3e38
+    with np.errstate(all="raise"):
+        assert not are_encoded([frame])
+        check_sign("frame", "light", frame.radiance)
+        with pytest.raises(InputError, match="100 % of it is negative"):
+            check_sign("frame", "light", -frame.radiance)
 
 
 @pytest.mark.parametrize("light", [0.0, 1.7])

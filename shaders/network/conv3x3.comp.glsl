@@ -48,6 +48,8 @@ void main() {
     ivec2 corner = ivec2(gl_WorkGroupID.xy) * ivec2(4 * GROUP_X, GROUP_Y);
     int low = 2 * int(gl_WorkGroupID.z), high = low + 1;  // groups of output channels
 
+    int taps = inside(corner + local, size) ? 9 : 0;  // at coarse levels most of a work group is beyond the border
+
     mat4 low_sum = mat4(biases[low], biases[low], biases[low], biases[low]);
     mat4 high_sum = mat4(biases[high], biases[high], biases[high], biases[high]);
     for (int g = 0; g < groups.y; ++g) {
@@ -56,7 +58,7 @@ void main() {
             tile[i] = source(g, corner + ivec2(i % TILE.x, i / TILE.x) - 1);
         }
         barrier();
-        for (int tap = 0; tap < 9; ++tap) {
+        for (int tap = 0; tap < taps; ++tap) {
             int i = (local.y + tap / 3) * TILE.x + local.x + tap % 3;
             mat4 pixels = mat4(tile[i], tile[i + GROUP_X], tile[i + 2 * GROUP_X], tile[i + 3 * GROUP_X]);
             low_sum += weights[(low * groups.y + g) * 9 + tap] * pixels;
