@@ -36,7 +36,8 @@ class Export:
             "weights, two sample frames with checksums; docs/use/engines.md explains export.json"
         )
         if not done.spirv:
-            print("GLSL alone: for SPIR-V install glslang (Debian: apt install glslang-tools) and export again")
+            print("GLSL alone: for SPIR-V install glslang (Debian: apt install glslang-tools), then export to another "
+                  "folder")  # fmt: skip
 
 
 def read_size(text: str) -> tuple[int, int]:

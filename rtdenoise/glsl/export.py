@@ -17,7 +17,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..errors import InputError
-from ..files import dumps, write_atomically
+from ..files import dumps, remove_unfinished, write_atomically
 from ..frame import RECENT
 from .current import current
 from .dispatch import Dispatch
@@ -29,6 +29,7 @@ from .sample import sample_frames
 FORMAT = 1
 FRAMES = ("first", "following")
 ALIGNMENT = 256  # bytes, of every array in weights.bin: the most that Vulkan asks for
+UNFINISHED = {"glsl", "spirv", "sample", "weights.bin"}  # what is written before export.json, the last
 COMPILERS = ("glslangValidator", "glslang")
 WORDS = {"int": (4, 4), "uint": (4, 4), "float": (4, 4), "vec2": (8, 8), "ivec2": (8, 8), "ivec3": (16, 12)}  # std430
 TOLERANCE, HALF_TOLERANCE = 1e-3, 3e-2  # relative to |expected| + rms: other drivers round differently
@@ -45,7 +46,7 @@ class Exported:
 
 
 def export(
-    out: str | Path,  # a new or empty folder
+    out: str | Path,  # a new or empty folder, or one that an interrupted export left
     model: str = "default",  # a shipped name or a .safetensors file
     size: tuple[int, int] = (720, 1280),  # of the frames, (H, W)
     half: bool = False,  # store activations as float16
@@ -53,11 +54,13 @@ def export(
 ) -> Exported:
     """Write the passes of a model.
 
-    Raises InputError for an unknown model, a number of recent frames that it cannot keep, a folder that is not empty, a
-    size that the device has no memory for, where there is no OpenGL 4.3, and where glslang rejects a shader.
+    Raises InputError for an unknown model, a number of recent frames that it cannot keep, a folder that holds anything
+    else, a size that the device has no memory for, where there is no OpenGL 4.3, and where glslang rejects a shader.
     """
     out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if out.is_dir():
+        remove_unfinished(out, inside=True)
+    if out.exists() and (not out.is_dir() or any(path.name not in UNFINISHED for path in out.iterdir())):
         raise InputError(f"{out}: is not an empty folder; choose another --out")
     if blocked := [path for path in out.parents if path.exists() and not path.is_dir()]:
         raise InputError(f"{out}: {blocked[0]} is not a folder; choose another --out")
@@ -65,7 +68,7 @@ def export(
     first, following = sample_frames(size, len(FRAMES))
     recordings = record(pipeline, [replace(first, motion=None), following])
     for folder in ("glsl", "sample"):
-        (out / folder).mkdir(parents=True)
+        (out / folder).mkdir(parents=True, exist_ok=True)
 
     shaders = _Shaders(out)
     passes = {
@@ -108,7 +111,7 @@ class _Shaders:
         compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
         if compiler is None:
             return False
-        (self.out / "spirv").mkdir()
+        (self.out / "spirv").mkdir(exist_ok=True)
         for name in self.programs:
             source, target = self.out / "glsl" / f"{name}.comp", self.out / "spirv" / f"{name}.spv"
             command = [compiler, "-V", "-o", target, source]

@@ -48,7 +48,8 @@ def are_encoded(frames: Iterable[Frame]) -> bool:
     stored = stored[:, stored.any(0)]
     if not stored.size or np.mean(stored < -NEARLY) >= NEARLY:
         return False
-    unit, plain = (np.mean(np.abs(np.linalg.norm(n, axis=0) - 1) < NEARLY) for n in (2 * stored - 1, stored))
+    with np.errstate(over="ignore"):  # frames that are examined first are not sanitised
+        unit, plain = (np.mean(np.abs(np.linalg.norm(n, axis=0) - 1) < NEARLY) for n in (2 * stored - 1, stored))
     return bool(unit > max(plain, MANY))
 
 

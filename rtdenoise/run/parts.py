@@ -54,7 +54,7 @@ def compare_sum(
 
 def check_sign(frame: str, name: str, image: np.ndarray) -> None:
     """Raise InputError for a layer that is no light: much of it is negative."""
-    finite = np.nan_to_num(image, nan=0, posinf=0, neginf=0)
+    finite = np.nan_to_num(image, nan=0, posinf=0, neginf=0).astype(np.float64)  # sums of float32 overflow
     if (share := float(-finite.clip(max=0).sum() / max(np.abs(finite).sum(), 1e-30))) > MAX_NEGATIVE:
         raise InputError(f"{frame}: --also {name}: {100 * share:.0f} % of it is negative, and light never is: leave it "
                          "out")  # fmt: skip

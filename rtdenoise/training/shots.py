@@ -137,7 +137,8 @@ def _windows(shot: int, sources: dict[str, Source], options: CutOptions) -> list
         raise InputError(f"{source.folder}: frames are {W}×{H}, clips {width}×{height}; take a smaller --size")
     firsts = range(0, len(source.base) - options.frames + 1, options.frames)
     if not firsts:
-        raise InputError(f"{source.folder}: has {len(source.base)} frames, clips {options.frames}; take fewer --frames")
+        has = counted(len(source.base), "frame")
+        raise InputError(f"{source.folder}: has {has}, clips {options.frames}; take fewer --frames")
     rows, columns = H // height, W // width
     top, left = (H - rows * height) // 2, (W - columns * width) // 2
     return [
