@@ -53,13 +53,13 @@ class Options:
     backends: tuple[str, ...] = tuple(methods.BACKENDS)
     """Some of the ways to run a model."""
     calls: int = 10
-    """Timed calls of each method at 720p; fewer at larger sizes, at least 3."""
+    """Timed calls of each method at 720p; fewer at larger sizes, no fewer than 3 unless asked."""
     threads: int = 0
     """Threads of the CPU; 0: torch's choice."""
     device: str = "auto"
     """'auto', 'cpu' or 'cuda'."""
     quick: bool = False
-    """32×18, 3 calls."""
+    """32×18, one call."""
     out: Path | None = None
     """JSON file; its table and plot go beside it, .md and .png (default: that of the device in bench/results; it also
     updates docs/results/performance.md and the plot there, unless --quick)."""
@@ -70,7 +70,7 @@ def main(o: Options) -> None:
         torch.set_num_threads(o.threads)
     torch.backends.cudnn.allow_tf32 = False  # rows of fp32 say fp32
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    sizes, calls = (("quick",), 3) if o.quick else (o.sizes, o.calls)
+    sizes, calls = (("quick",), 1) if o.quick else (o.sizes, o.calls)
     presets = o.presets or tuple(name for name, config in models.PRESETS.items() if not config.reads)
     with_shaders, gl = measurable(o.quick)
     with torch.inference_mode():
@@ -117,7 +117,7 @@ def run(
 ) -> list[dict]:
     """All methods at one size, timed in rotation: the rows of the result."""
     W, H = SIZES[size]
-    calls = max(3, round(calls * min(1, 1280 * 720 / (W * H))))
+    calls = max(min(calls, 3), round(calls * min(1, 1280 * 720 / (W * H))))
     frame = methods.synthetic_frame(H, W).to(device)
     timed = [m for preset in presets for m in methods.torch_methods(preset, frame, device, backends)]
     if installed():
@@ -130,13 +130,17 @@ def run(
     rows = [{"method": m.name, TOTAL: totals[m.name]} for m in timed]
     for row, method in zip(rows, timed, strict=True):
         if method.model:
-            row |= stages(method, frame, device, max(3, calls // 2))
+            row |= stages(method, frame, device, halved(calls))
         elif method.shaders:
-            runs = [method.shaders.stages() for _ in range(max(3, calls // 2))]
+            runs = [method.shaders.stages() for _ in range(halved(calls))]
             row |= {"stages": by_stage(runs), "peak_mb": round(method.shaders.megabytes, 1)}
     if not installed():
         rows.append({"method": "oidn", "reason": methods.OIDN_MISSING})
     return [{"size": size, "pixels": [W, H], **row} for row in rows]
+
+
+def halved(calls: int) -> int:
+    return max(min(calls, 3), calls // 2)
 
 
 def step(method: Method, device: str) -> None:
