@@ -14,6 +14,7 @@ import OpenEXR
 import pytest
 import torch
 from matplotlib.figure import Figure
+from rich.console import Console
 from synthetic import make_frames, write_sequence
 
 from rtdenoise import metrics
@@ -34,6 +35,7 @@ from rtdenoise.report import report
 from rtdenoise.report.chart import chart, tick_values
 from rtdenoise.report.markdown import markdown
 from rtdenoise.report.page import page, payload
+from rtdenoise.report.summary import summary
 from rtdenoise.run.choice import BEST
 from rtdenoise.run.options import AHEAD
 
@@ -230,6 +232,16 @@ def test_it_ends_with_a_table_of_what_was_measured(shot, tmp_path, monkeypatch, 
     shown = [f"{psnr['frame']:.2f}", f"{psnr['uncovered']:.2f}", f"{ssim['frame']:.3f}"]
     assert line == [shot.name, "1", "noisy", *shown, f"{row['ms']['median']:.0f}"]
     assert "SSIM" in told and "FLIP" not in told and "corrected" not in told
+
+
+def test_names_of_methods_are_whole_in_80_columns():
+    regions = {"psnr_corrected": 31.42, "ssim": 0.871, "relmse": 0.0213, "flip": 0.084}
+    row = {"sequence": "kitchen_v012", "spp": 1, "method": "hybrid-large-ahead6", "precision": "fp32",
+           "errors": dict.fromkeys(("frame", "uncovered"), regions), "ms": {"median": 1234.5}}  # fmt: skip
+    with (console := Console(width=80, markup=False, emoji=False)).capture() as printed:
+        console.print(summary([row]))
+    text = printed.get()
+    assert all(word in text for word in ("hybrid-large-ahead6", "31.42", "0.0213", "0.084", "1234", "kitchen_v012"))
 
 
 def test_the_table_has_names_of_folders_as_they_are(tmp_path, capsys):

@@ -11,6 +11,7 @@ from .markdown import write_number
 from .readings import METRICS, label
 
 SHOWN = {"psnr_corrected": "psnr", "ssim": "", "relmse": "", "flip": ""}  # or what stands for it where it is unknown
+LEAST = len("hybrid-ahead6")  # width of the names of methods
 REGIONS = ("frame", "uncovered")
 
 
@@ -19,9 +20,10 @@ def summary(rows: Sequence[dict]) -> Table:
     metrics that were not measured have no column."""
     metrics = [m for pair in SHOWN.items() for m in _known(pair, rows)]
     columns = [(m, region) for m in metrics for region in REGIONS if region == "frame" or METRICS[m].unit == "dB"]
-    table = Table(box=box.SIMPLE)
-    for name in ("sequence", "spp", "method"):
-        table.add_column(name, justify="right" if name == "spp" else "left", overflow="fold")
+    table = Table(box=box.SIMPLE, padding=0)  # a space between columns
+    table.add_column("sequence", overflow="fold")
+    table.add_column("spp", justify="right", no_wrap=True)
+    table.add_column("method", overflow="fold", min_width=LEAST)
     for metric, region in columns:  # words below each other: all fits into 80 columns
         words = [*reversed(METRICS[metric].label.replace("corrected", "corr.").split()), region[:5]]
         table.add_column("\n".join(words), justify="right", no_wrap=True)
