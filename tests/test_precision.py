@@ -13,7 +13,8 @@ from synthetic import make_frames
 
 from rtdenoise.errors import InputError
 from rtdenoise.models import available, load, read
-from rtdenoise.models.inference import _FusedConvRelu, _FusedUp, _JoinedHeads, _Product, as_weights, prepare, resolve
+from rtdenoise.models.fused_layers import FusedConvRelu, FusedUp, JoinedHeads, Product
+from rtdenoise.models.inference import as_weights, prepare, resolve
 from rtdenoise.models.unet import HeadsByCells, UNet, widened, widened_in_layout
 from rtdenoise.run import memory
 
@@ -56,7 +57,7 @@ def test_a_decoder_that_enlarges_nothing_is_the_one_that_was_trained(assert_imag
     trained, x = UNet(5, (4, 12, 20)).eval().requires_grad_(False), torch.randn(2, 5, *size)
     ready = prepare(copy.deepcopy(trained), torch.float32)
     for module in ready.modules():
-        if lanes and isinstance(module, _FusedConvRelu | _FusedUp):
+        if lanes and isinstance(module, FusedConvRelu | FusedUp):
             module.fill_lanes()
     assert trained.state_dict().keys() == ready.state_dict().keys()
     for a, b in zip(trained(x, 2), ready(as_weights(x, ready), 2), strict=True):
@@ -76,7 +77,7 @@ def test_products_of_matrices_are_the_convolutions_of_heads(assert_images_close)
     heads, x = HeadsByCells(5, [25, 9, 3]), torch.randn(2, 5, 4, 6)
     head, query = torch.nn.Conv2d(5, 27, 1), torch.nn.Conv2d(5, 12, 1, bias=False)
     expected = [*heads(x), head(x), query(x)]
-    _JoinedHeads.take(heads), _Product.take(head), _Product.take(query)
+    JoinedHeads.take(heads), Product.take(head), Product.take(query)
     for found, wanted in zip([*heads(x), head(x), query(x)], expected, strict=True):
         assert_images_close(found.detach(), wanted.detach(), "float32")
     assert heads.matrix.shape == (104 + 40 + 16, 5) and head.matrix.shape == (32, 5)

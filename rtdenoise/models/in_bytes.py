@@ -23,8 +23,8 @@ from ..ops.features import filled
 from ..ops.to_bytes import to_bytes
 from .bytes_layout import INPUT, PIXELS, UNET, Layer, Picture, layout
 from .config import AccumulatedKPNConfig
+from .fused_layers import enlarging
 from .hybrid_config import HybridConfig
-from .inference import enlarging
 from .pixel_network import PixelNetwork, PixelUNet
 from .unet import UNet
 
