@@ -24,7 +24,8 @@ from rtdenoise.exposure import noise_level
 from rtdenoise.frame import OFF_SCREEN
 from rtdenoise.models import HybridConfig, create, grow, hybrid, load, read, save
 from rtdenoise.models.accumulated_kpn import AccumulatedKPN
-from rtdenoise.models.past import footprint, footprint_of, reprojected, reset_of_footprint, seen
+from rtdenoise.models.footprint import footprint, footprint_of, reset_of_footprint, seen
+from rtdenoise.models.past import reprojected
 from rtdenoise.models.pixel_network import PixelNetwork, written
 from rtdenoise.models.presets import PRESETS
 from rtdenoise.models.weights import files_of, find, has_bytes

@@ -9,7 +9,7 @@ from synthetic import make_frames
 from rtdenoise import models, ops
 from rtdenoise.constants import GLOSS, OVER_LIGHT
 from rtdenoise.frame import Known
-from rtdenoise.models import past
+from rtdenoise.models import footprint
 from rtdenoise.models.hybrid_config import HybridConfig
 from rtdenoise.ops.keep import keep
 from rtdenoise.ops.over import over, over_and_coverage
@@ -179,7 +179,7 @@ def test_shapes_are_checked():
 def test_still_pictures_leave_it_out(monkeypatch):
     """And only they do, beside first frames."""
     asked = []
-    monkeypatch.setattr(past, "over", lambda seen, *rest: asked.append(seen) or seen)
+    monkeypatch.setattr(footprint, "over", lambda seen, *rest: asked.append(seen) or seen)
     torch.manual_seed(0)
     network = models.create(
         HybridConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, down=(8, 8, 8), up=(8, 8), out=(8, 8))

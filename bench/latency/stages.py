@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from rtdenoise.models import past
+from rtdenoise.models import footprint, past
 
 STAGES = {
     "features + kernel prediction": ("demodulate", "features", "predict", "forward"),  # forward: of `hybrid`'s pixels
@@ -36,11 +36,11 @@ def staged(model: nn.Module, synchronise: Callable[[], None]) -> Iterator[Ledger
     """Fill a ledger while the model's `step` runs inside this context. Of nested calls only the outermost counts.
 
     Bytes are those of the tensors that a stage's functions take and return, each counted once per call. The functions
-    are those of the model, of its file and those of its bases, and of `models.past`.
+    are those of the model, of its file and those of its bases, of `models.footprint` and of `models.past`.
     """
     files = [sys.modules[kind.__module__] for kind in type(model).__mro__ if kind.__module__.startswith("rtdenoise.")]
     pixels = [model.pixels] if hasattr(model, "pixels") else []
-    ledger, owners, running = Ledger(), (model, *pixels, *files, past), []
+    ledger, owners, running = Ledger(), (model, *pixels, *files, footprint, past), []
 
     def timed(stage: str, function: Callable) -> Callable:
         @functools.wraps(function)

@@ -35,9 +35,10 @@ from ..ops.pixels import accumulate, demodulate, modulate, nearness
 from ..ops.shares import shares
 from ..sanitise import admit
 from .config import AccumulatedKPNConfig
+from .footprint import footprint, reset_of_footprint
 from .inference import as_weights
 from .losses import frame_loss
-from .past import Past, followed, footprint, kept, reprojected, reset_of_footprint, shifted
+from .past import Past, followed, kept, reprojected, shifted
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, HeadsByCells, UNet, by_name, widened
 

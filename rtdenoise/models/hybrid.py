@@ -24,8 +24,8 @@ from ..ops.mix import mix
 from ..ops.recall import FOOTPRINT
 from ..sanitise import admit
 from .accumulated_kpn import AccumulatedKPN, Kernels
+from .footprint import seen
 from .hybrid_config import HybridConfig
-from .past import seen
 from .pixel_network import PixelNetwork, written
 
 

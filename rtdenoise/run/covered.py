@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ..frame import Frame, History
-from ..models.past import footprint_of
+from ..models.footprint import footprint_of
 from ..models.shrinkage import few_samples
 from ..models.window import box
 from ..ops.over import over_and_coverage

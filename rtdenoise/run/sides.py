@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..frame import Frame
-from ..models.past import footprint_of
+from ..models.footprint import footprint_of
 from ..ops.recall import FOOTPRINT
 
 COUNTED = [0] * FOOTPRINT[0] + [1] * sum(FOOTPRINT[1:])  # which of both counts of an estimate a footprint's channel has
