@@ -442,6 +442,24 @@ def test_an_albedo_that_tells_nothing_is_told(tmp_path, capsys, constant):
     assert ("albedo       is the same in all pixels of the frames examined" in capsys.readouterr().out) == constant
 
 
+@pytest.mark.parametrize("rest", ["albedo", "motion_next", "motion"])
+def test_of_frames_that_an_earlier_run_saw_nothing_is_told(tmp_path, capsys, rest):
+    """Only those that are appended have one albedo, no `motion_next` or, after many cuts, no motion."""
+    made, flat = make_frames(5), torch.full_like(make_frames(1)[0].albedo, 0.5)
+    for i, frame in enumerate(made):
+        if rest == "motion":  # other surfaces in each frame
+            made[i] = replace(frame, depth=frame.depth * 3 ** (i % 4), motion=frame.motion * (i < 3))
+        elif i > 2:
+            made[i] = replace(frame, **{rest: flat if rest == "albedo" else 0 * frame.motion})
+    out, options = tmp_path / "out", ("--model", "fast", "--lookahead", "0")
+    for part in (made[:3], made[3:]):
+        shot = write_sequence(tmp_path / "shot", part)
+        main(["denoise", str(shot), "--out", str(out), *options])
+        told = capsys.readouterr().out
+    assert "albedo is the same" not in told and STOPPED not in told and "motion is zero" not in told
+    assert json.loads((out / "denoise.json").read_text())["skipped"] == 3
+
+
 def test_a_cut_between_still_shots_is_no_motion(tmp_path, capsys):
     first, last = make_frames(1)[0], make_frames(1)[0]
     last = replace(last, depth=last.depth * 3)

@@ -106,6 +106,7 @@ class Watch:
 
     def __init__(self, notes: list[str]) -> None:
         self._notes, self._before, self._told = notes, None, False
+        self._seen = 0  # frames
         self._verdicts: list[Verdict] = []  # of the first pairs that move
         self._drifts: list[Drift | None] = []  # likewise, and of the first pairs with motion 0 that have any
         self._still = 0  # how many pairs with motion 0 have been asked for theirs
@@ -116,6 +117,7 @@ class Watch:
 
     def see(self, frame: Frame, goes_on: bool) -> None:
         """The next frame as it was read; `goes_on`: with the shot of the last one."""
+        self._seen += 1
         self._albedo.see(frame)
         self._next.see(frame)
         self._compare_noise(frame)
@@ -134,12 +136,14 @@ class Watch:
         self._before = frame
 
     def end(self, frames: int, cuts: int) -> None:
-        """After the last one of so many frames, of which so many began anew for what they showed."""
-        if self._moves is not None and cuts > MOST_CUTS * frames:
+        """After the last one of so many frames, of which so many began anew for what they showed. A run that went on
+        has not seen all: then nothing is said that is not true of all of them."""
+        whole = self._seen == frames
+        if cuts > MOST_CUTS * frames and (whole or self._moves):
             self._notes.append(CUTS if self._moves else ALONE)
-        if self._albedo.found:
+        if whole and self._albedo.found:
             self._notes.append(FLAT.format("all frames"))
-        if self._next.found:
+        if whole and self._next.found:
             self._notes.append(STOPPED)
 
     def _compare_noise(self, frame: Frame) -> None:
