@@ -16,7 +16,7 @@ from test_denoise import pixels, refused
 
 import rtdenoise
 from rtdenoise.cli.main import main
-from rtdenoise.data.exr import read_channels, read_header
+from rtdenoise.data.exr import read_channels, read_header, write_layers
 from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
@@ -309,6 +309,17 @@ def test_confidence_is_a_layer_of_its_own(shot, tmp_path, options):
     assert set(header.channels) == {"R", "G", "B", "confidence.V"}
     spread = read_channels(tmp_path / "out" / NAMES[1], ["confidence.V"])["confidence.V"]
     assert (spread >= 0).all() and spread.max() > 0
+
+
+def test_the_confidence_of_an_earlier_run_is_not_kept_in_the_place_of_the_new_one(shot, tmp_path, options):
+    for name in NAMES:
+        types = read_header(shot / name).channels
+        layers = read_channels(shot / name, list(types), as_stored=True)
+        layers["confidence.V"] = np.full(layers["R"].shape, -1, np.float16)
+        write_layers(shot / name, layers, dtypes=types)
+    denoise(str(shot), tmp_path / "out", replace(options, confidence=True, keep=("all",)))
+    assert "depth.Z" in read_header(tmp_path / "out" / NAMES[1]).channels
+    assert read_channels(tmp_path / "out" / NAMES[1], ["confidence.V"])["confidence.V"].max() > 0
 
 
 def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):

@@ -169,7 +169,8 @@ def _write_plain(
     file = sequence.files[index]
     for channel, plane in alpha.items():
         layers["A"], dtypes["A"] = plane, file.header().channels[channel]
-    passed = [name for name in kept_channels(sequence, keep) if name not in layers]  # the picture's alpha is one
+    made = {*layers, *(name for name in kept_channels(sequence, keep) if name.rpartition(".")[0] in extra)}
+    passed = [name for name in kept_channels(sequence, keep) if name not in made]  # the picture's alpha is made, too
     layers |= file.read(passed, as_stored=True)
     dtypes |= {name: sequence.header.channels[name] for name in passed}
     write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
