@@ -64,6 +64,17 @@ def test_an_interrupted_cut_goes_on(tmp_path, shot):
     assert len(again[3].read_bytes()) == pytest.approx(len(whole[3]), abs=64)  # the header holds the seconds it took
 
 
+def test_clips_of_frames_that_were_rendered_anew_are_not_mixed_with_older_ones(tmp_path, shot, capsys):
+    paths = cut(tmp_path / "clips", shot).paths
+    write_sequence(shot, [replace(frame, number=9 + frame.number) for frame in make_frames(1, H=26, W=36)])
+    assert cut(tmp_path / "clips", shot).paths == paths  # one more frame, in no clip
+    paths[0].unlink()
+    write_sequence(shot, make_frames(9, H=26, W=36, seed=1)[4:5])
+    told = error_of(capsys, shot, "--out", tmp_path / "clips", *SMALL)
+    assert told.endswith("its frames were changed since it was cut; remove the clips, or choose another --out")
+    assert not paths[0].exists()
+
+
 def test_count_chooses_by_the_seed(tmp_path, shot):
     chosen = [
         [data.facts(i)["window"] for i in range(len(data))]

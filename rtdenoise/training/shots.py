@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from ..wording import counted
 
 NEEDED = ("albedo", "normal", "depth", "motion", "motion_next")
 DEFAULTS = {"preset": "auto", "reference": ""}  # facts of a clip, and what they are where a set does not tell
+FILES = "files"  # fact of a clip: `_digest` of its frames; sets of earlier versions lack it
 AT_ONCE = 64  # clips that are cut in one pass over the frames, which bounds memory
 CARD = """# Training clips
 
@@ -74,7 +76,7 @@ def cut_clips(
 
     Windows lie side by side, in space and in time; where there are more than `options.count`, a random choice is taken.
     Clips that are there are kept. Raises InputError where a shot lacks references or features, is smaller or shorter
-    than a clip, or `out` holds clips of other shots or options, or more of them.
+    than a clip, or `out` holds clips of other shots or options, or more of them, or of frames that were changed since.
     """
     if references and len(references) != len(shots):
         raise InputError(f"--reference: expected a folder for each of {len(shots)} shots, got {len(references)}")
@@ -88,8 +90,10 @@ def cut_clips(
         frames = counted(len(_first(sources).base), "frame")
         say(f"{shots[i]}: {' and '.join(sources)}; {frames}, {counted(taken, 'clip')}")
     folders = [str(folder.resolve()) for folder in references] or [""] * len(shots)
+    files = {(i, first): _digest(opened[i], first, options) for i, first in {(it.shot, it.first) for it in clips}}
     facts = [
-        _facts(window, opened[window.shot], options) | {"spp": spp[window.shot], "reference": folders[window.shot]}
+        _facts(window, opened[window.shot], options)
+        | {"spp": spp[window.shot], "reference": folders[window.shot], FILES: files[window.shot, window.first]}
         for window in clips
     ]
     out.mkdir(parents=True, exist_ok=True)
@@ -165,13 +169,25 @@ def _facts(window: ClipPlace, sources: dict[str, Source], options: CutOptions) -
     }  # fmt: skip
 
 
+def _digest(sources: dict[str, Source], first: int, options: CutOptions) -> str:
+    """Tells a clip's frames from others of the same numbers, by names, sizes and times of their files."""
+    sequences = [it for source in sources.values() for it in (source.base, source.converged) if it]
+    frames = [frame for it in sequences for frame in it.files[first : first + options.frames]]
+    found = [(path.name, path.stat()) for frame in frames for path in frame.files.values()]
+    text = dumps([[name, its.st_size, its.st_mtime_ns] for name, its in found])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
 def _is_there(out: Path, number: int, facts: dict) -> bool:
-    """Whether the clip is cut already. Raises InputError where another clip has its name."""
+    """Whether the clip is cut already. Raises InputError where another clip has its name, or its frames are others."""
     path = clip_path(out, number)
     if not path.exists():
         return False
-    if facts.items() <= (DEFAULTS | read_facts(path)).items():
+    found = DEFAULTS | {FILES: facts[FILES]} | read_facts(path)
+    if facts.items() <= found.items():
         return True
+    if facts.items() <= (found | {FILES: facts[FILES]}).items():
+        raise InputError(f"{path}: its frames were changed since it was cut; remove the clips, or choose another --out")
     raise InputError(f"{path}: is another clip; choose another --out, or the shots and options of that run")
 
 
