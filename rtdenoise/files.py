@@ -41,12 +41,17 @@ def fingerprint(path: Path) -> str:
 def replacing(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
     """A fresh file name in the folder of `path`: the file that the block writes there becomes `path` as the block ends.
 
-    A link at `path` is replaced, never followed. Nothing is left behind where the block raises.
+    A link at `path` is replaced, never followed. Nothing is left behind where the block raises; an OSError of the fresh
+    file, or that names none, as of a full disk, names `path`.
     """
     temporary = path.with_name(f".rtdenoise-{os.getpid()}-{_machine()}{secrets.token_hex(4)}{suffix}")
     try:
         yield temporary
         temporary.replace(path)
+    except OSError as error:
+        if error.filename in (None, str(temporary)):
+            error.filename = str(path)
+        raise
     finally:
         with contextlib.suppress(OSError):  # after the renaming there is none
             temporary.unlink()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -34,6 +35,17 @@ def test_nothing_is_left_where_writing_fails(tmp_path):
         temporary.write_bytes(b"half")
         raise KeyError
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_an_error_names_the_file_that_was_to_be(tmp_path):
+    """Never the fresh file, and never none, as Pillow's on a full disk; that of another file stays."""
+    for raised, named in (((errno.ENOSPC, "full"), tmp_path / "a"), ((errno.ENOENT, "no", "other"), "other")):
+        with pytest.raises(OSError) as caught, files.replacing(tmp_path / "a"):
+            raise OSError(*raised)
+        assert caught.value.filename == str(named)
+    with pytest.raises(OSError) as caught, files.replacing(tmp_path / "none" / "a") as temporary:
+        temporary.write_bytes(b"")
+    assert caught.value.filename == str(tmp_path / "none" / "a")
 
 
 def test_a_name_of_the_longest_length_is_written(tmp_path):
