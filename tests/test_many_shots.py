@@ -1,6 +1,7 @@
 """`rtdenoise denoise` with several shots: each by a process, into a folder of its own, resumable."""
 
 import re
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -84,8 +85,11 @@ def test_names_of_shots(tmp_path, monkeypatch):
     assert find_shots(("shots/a",), out) is None
     assert find_shots(("shots/a/*.exr",), out) is None  # a glob of files
     assert find_shots(("shots/*",), out) == {"a": "shots/a", "b": "shots/b"}  # without the output
-    assert find_shots(("shots/[a]",), out) == {"a": "shots/a"}  # one shot today, more tomorrow
+    (out / "b").mkdir()
     both = {"a/beauty": "shots/a/beauty", "b/beauty": "shots/b/beauty"}
+    assert find_shots(("shots/*/*",), out) == both  # without what is in the output
+    assert find_shots(("shots/*/beauty",), Path()) == find_shots(("shots/*/beauty",), Path("shots")) == both
+    assert find_shots(("shots/[a]",), out) == {"a": "shots/a"}  # one shot today, more tomorrow
     assert find_shots(("shots/*/beauty",), out) == find_shots(("shots/a/beauty", "shots/b/beauty"), out) == both
     assert find_shots(("shots/a/*.exr", "shots/b"), out) == {"a": "shots/a/*.exr", "b": "shots/b"}
     globs = {"a": "shots/a/frame.000[1-4].exr", "b": "shots/b/frame.*.exr"}

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from glob import glob, has_magic
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -165,10 +165,16 @@ def _without_pattern(path: Path) -> Path:
 
 
 def _folders(source: str, out: Path) -> list[str]:
-    """The folders that a glob names, but for `out`; `source` itself where it is no glob of folders."""
+    """The folders that a glob names, but for `out` and those in it, where the glob begins elsewhere; `source` itself
+    where it is no glob of folders."""
     if not has_magic(source) or Path(source).exists():
         return [source]
-    found = sorted(path for path in glob(source) if Path(path).is_dir() and Path(path).resolve() != out.resolve())
+
+    def is_output(path: str | Path) -> bool:
+        return Path(path).resolve().is_relative_to(out.resolve())
+
+    begins_there = is_output(Path(*takewhile(lambda part: not has_magic(part), Path(source).parts)))
+    found = sorted(path for path in glob(source) if Path(path).is_dir() and (begins_there or not is_output(path)))
     return found or [source]
 
 
