@@ -14,6 +14,7 @@ from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_header, write_layers
 from rtdenoise.models import CombinerConfig, Window, create, save
 from rtdenoise.run.combine import combine
+from rtdenoise.run.correcting import Run
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import CombineOptions, Options
 from rtdenoise.run.pairs import both, open_denoised, open_second, read_estimate
@@ -234,6 +235,28 @@ def test_appended_frames_are_neighbours_of_those_before(shot, clean, tmp_path, o
     write_sequence(tmp_path / "growing", frames[4:])
     summary = run(tmp_path / "growing", grown, tmp_path / "out", options=options)
     assert (summary.skipped, summary.written) == (2, 4)
+    run(shot, clean, tmp_path / "once", options=options)
+    assert_same(tmp_path / "out", tmp_path / "once")
+
+
+def test_killed_right_after_a_frame_was_written_anew(shot, clean, tmp_path, frames, monkeypatch):
+    """As frames were appended, and before the state told of it."""
+    options = CombineOptions(confidence=True)  # so that frames that are written anew have another size
+    write_sequence(tmp_path / "growing", frames[:4])
+    grown = write_images(tmp_path / "grown", [estimate(frame) for frame in frames[:4]])
+    run(tmp_path / "growing", grown, tmp_path / "out", options=options)
+    write_images(grown, [estimate(frame) for frame in frames[4:]], first=4)
+    write_sequence(tmp_path / "growing", frames[4:])
+    write = Run._write
+
+    def killed(self, *arguments):
+        write(self, *arguments)
+        raise Stop
+
+    with monkeypatch.context() as patch, pytest.raises(Stop):
+        patch.setattr(Run, "_write", killed)
+        run(tmp_path / "growing", grown, tmp_path / "out", options=options)
+    assert run(tmp_path / "growing", grown, tmp_path / "out", options=options).written == 4
     run(shot, clean, tmp_path / "once", options=options)
     assert_same(tmp_path / "out", tmp_path / "once")
 

@@ -63,8 +63,8 @@ class Run:
         self.summary.skipped, self.summary.gaps = done, list(self.source.gaps)
         self.summary.notes = notes
         self.shadows = find_shadows(self.source, self.options)  # which the denoised frames may have without noise
-        if not done:
-            self._save(0)
+        if not done or done < self.counted:  # a frame that is written anew is another file than its state knows
+            self._save(done)
         self.on_frame(done, count)
         started = time.perf_counter()
         if done < count:
