@@ -79,6 +79,16 @@ def test_a_film_on_a_screen_is_no_zoom():
     assert find_drift(*frames) is None
 
 
+def test_a_frame_in_which_much_was_uncovered_needs_a_shot_that_zooms():
+    first, second = shot(2, zoom=0.04)
+    uncovered = torch.arange(SIZE[1]) < 0.55 * SIZE[1]
+    second = replace(second, albedo=torch.where(uncovered, texture(torch.arange(SIZE[1]) * 1.7, 40.0), second.albedo))
+    assert find_drift(first, second) is None
+    assert math.isclose(find_drift(first, second, known=True).zoom, 0.04, abs_tol=4e-3)
+    still = shot(2, noise=0.05)
+    assert find_drift(*still, known=True) is None
+
+
 def test_a_large_picture_says_what_moves():
     """There little zoom is much motion."""
     drift = find_drift(*shot(2, zoom=4e-4, size=(90, 3200)))

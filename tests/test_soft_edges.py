@@ -46,6 +46,23 @@ def test_a_silhouette_comes_nearer_to_the_true_one(behind, noise):
     assert error(with_soft_edges(frame), truth, mixed) < 0.75 * error(frame, truth, mixed)
 
 
+def test_a_slanted_line_two_pixels_wide_is_as_wide_all_along():
+    """Not in stretches alone: it would look like a string of beads, which crawl as it moves."""
+    def hits(offsets):
+        return np.abs(x + offsets[0] - 26.0 - 0.15 * (y + offsets[1] - H / 2)) < 1.15
+
+    draw = np.random.default_rng(2)
+    y, x = np.mgrid[:H, :W]
+    hit, exact = hits(draw.random((2, H, W))), np.mean([hits(pair) for pair in draw.random((2048, 2))], axis=0)
+    frame = Frame(4.0 * hit[None, None].repeat(3, 1).astype(np.float32), depth=hit[None, None].astype(np.float32))
+    soft = with_soft_edges(frame).radiance[0, 0]
+    rows = slice(4, -4)
+    width, wanted = soft[rows].sum(1), 4 * exact[rows].sum(1)
+    assert np.abs(width - wanted).mean() < 0.8 * np.abs(frame.radiance[0, 0, rows].sum(1) - wanted).mean()
+    softened = (soft != frame.radiance[0, 0])[rows].any(1)
+    assert softened.all()
+
+
 def test_all_else_stays_to_the_bit():
     frame, *_ = disc(noise=0.3)
     y, x = np.mgrid[:H, :W] + 0.5

@@ -17,6 +17,7 @@ from .around import around, gaussian, shifted
 COVERAGE, SIDES = (1, 0.6), (2, 1.0)  # radius and standard deviation in pixels: of coverage, and of each side's light
 BESIDE = (-1, 0), (0, -1), (0, 1), (1, 0)  # (y, x)
 BRIGHT = 100.0  # times the median: brighter samples count as that
+BODY, GAP = 2, 3  # pixels across, of what is hit and of what is not: a slanted line of 2 pixels counts all along
 APART = 0.5  # pixels a frame: below, history follows both
 
 
@@ -28,7 +29,7 @@ def with_soft_edges(frame: Frame) -> Frame:
 
     with the means of both sides' radiance around, of logarithms, so that single bright samples do not spread; hit is 1
     or 0, and coverage its mean around, both with Gaussian weights. So what varies on a surface stays, and so does its
-    noise. Edges of what is narrower than 3 pixels, as fur, stay, and so do broken pixels, for `sanitise`. Without
+    noise. Edges of what is narrower than 2 pixels, as fur, stay, and so do broken pixels, for `sanitise`. Without
     `motion` all other edges are meant. To the bit the frame where there are none.
     """
     if frame.depth is None:
@@ -52,11 +53,15 @@ def with_soft_edges(frame: Frame) -> Frame:
 
 
 def _between_bodies(hit: np.ndarray, place: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """Of the places those with 3×3 pixels nearby that all are hit, and others of which none is: not those in fur."""
+    """Of the places those with BODY×BODY pixels nearby that all are hit, and GAP×GAP of which none is: not in fur."""
     near = around(hit, place, 3).reshape(-1, 7, 7)
-    share = np.lib.stride_tricks.sliding_window_view(near, (3, 3), axis=(1, 2)).mean((3, 4))
-    between = (share == 1).any((1, 2)) & (share == 0).any((1, 2))
+    between = _has_block(near == 1, BODY) & _has_block(near == 0, GAP)
     return tuple(indices[between] for indices in place)
+
+
+def _has_block(found: np.ndarray, side: int) -> np.ndarray:
+    """Which of N pictures `[N, H, W]` have side×side pixels that all are found."""
+    return np.lib.stride_tricks.sliding_window_view(found, (side, side), axis=(1, 2)).all((3, 4)).any((1, 2))
 
 
 def _moving_edges(hit: np.ndarray, motion: np.ndarray | None) -> np.ndarray:

@@ -27,6 +27,7 @@ MOST = 8000  # pixels that are examined in each pair of frames
 LEAST_MOTION = 0.5  # pixels at the corner of the picture
 LEFT = 0.7  # share of the difference that may be left
 NEARER = 0.75  # least share of the pixels that differ less with it: a film on a screen moves by itself
+LEFT_IF_KNOWN, NEARER_IF_KNOWN = 0.85, 0.6  # where the shot is known to have one: much may be uncovered in a frame
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,9 @@ class Drift:
         return ((pixels + motion) / np.float32(1 + self.zoom) - shift - pixels).astype(np.float32)
 
 
-def find_drift(previous: Frame, current: Frame) -> Drift | None:
-    """The drift of a frame with `motion`; None where there is none, or too little texture in albedo to tell."""
+def find_drift(previous: Frame, current: Frame, known: bool = False) -> Drift | None:
+    """The drift of a frame with `motion`; None where there is none, or too little texture in albedo to tell. `known`:
+    other frames of the shot have one, so that fewer pixels need to show it."""
     here, before = feature_of(current, "albedo"), feature_of(previous, "albedo")
     if here is None or before is None:
         return None
@@ -91,7 +93,8 @@ def find_drift(previous: Frame, current: Frame) -> Drift | None:
     as_is, fitted = (error.clamp(max=bound).mean() for error in errors)
     nearer = (errors[1] < errors[0]).float().mean()
     zooms, shifts = fit[0].abs(), fit[1:].norm()
-    if zooms + shifts < LEAST_MOTION or fitted > LEFT * as_is or nearer < NEARER:
+    most, least = (LEFT_IF_KNOWN, NEARER_IF_KNOWN) if known else (LEFT, NEARER)
+    if zooms + shifts < LEAST_MOTION or fitted > most * as_is or nearer < least:
         return None
     zoom = 1 / (1 + fit[0].item() / reach) - 1
     shift = tuple((-fit[1:]).tolist())

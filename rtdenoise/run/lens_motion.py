@@ -53,9 +53,10 @@ def lacks_lens(sequence: Sequence) -> bool:
 class Drifts:
     """What the vectors of each frame lack, found when it is asked for."""
 
-    def __init__(self, sequence: Sequence) -> None:
-        """Of a sequence with albedo and motion."""
+    def __init__(self, sequence: Sequence, known: bool = False) -> None:
+        """Of a sequence with albedo and motion. `known`: as of `lens.find_drift`."""
         self._sequence = sequence.only({"radiance", "albedo", "motion"})
+        self._known = known
         self._found: dict[int, Drift | None] = {}
         self._frames: dict[int, Frame] = {}  # the last two that were read
 
@@ -66,7 +67,7 @@ class Drifts:
         if i not in self._found:
             numbers = self._sequence.numbers
             follows = i > 0 and numbers[i] == numbers[i - 1] + 1
-            self._found[i] = find_drift(self._frame(i - 1), self._frame(i)) if follows else None
+            self._found[i] = find_drift(self._frame(i - 1), self._frame(i), self._known) if follows else None
         return self._found[i]
 
     @property
@@ -105,4 +106,4 @@ def with_lens(sequence: Sequence) -> WithLens:
         parts[layers] = {layer: rule for layer, rule in parts[layers].items() if layer != "motion_next"}
     if sequence.surfaces:
         parts["surfaces"] = sequence.surfaces.only({*sequence.surfaces.layers} - {"motion_next"})
-    return WithLens(**parts, drifts=Drifts(sequence))
+    return WithLens(**parts, drifts=Drifts(sequence, known=True))
