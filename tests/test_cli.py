@@ -144,6 +144,13 @@ def test_the_summary_counts_the_frames_of_all_runs():
                      "gaps: history starts anew after each; missing: 4, 8 to 9"]  # fmt: skip
 
 
+def test_a_change_of_light_is_told_where_it_can_be_seen():
+    lines = told(Summary(skipped=3, replaced={"albedo: above 2": 5}, exposure=[1.0, 1.01, 1.0]))
+    assert lines[1:] == ["replaced: albedo: above 2 in 5 pixels of 3 frames"]
+    (line,) = told(Summary(skipped=3, exposure=[1.0, 1.5, 1.51]))[1:]
+    assert line == "exposure: all light changes in 1 of 3 frames, by a factor of up to 1.5, and history with it"
+
+
 def test_interrupted_while_it_starts():
     """Ctrl-C while the commands are being imported: at this moment in any process, however fast the machine. Where the
     tests run in the background, their processes ignore it unless told not to."""

@@ -24,6 +24,7 @@ from .failures import line
 from .progress import frame_progress, progress_bar
 
 CORES = 4  # for a shot
+SEEN = 1.02  # factor between frames from which on a change of all light is told
 KILLED = "a process was killed (out of memory?); run the same command again with fewer --workers"
 
 
@@ -229,12 +230,14 @@ def told(summary: Summary, stage: str = "denoiser") -> list[str]:
     if summary.written:
         lines.append(f"{stage}: {1000 * summary.seconds / summary.written:.0f} ms a frame")
     lines += summary.notes
-    lines += [f"replaced: {what} in {counted(count, 'pixel')}" for what, count in summary.replaced.items()]
+    of_all = f" of {counted(frames, 'frame')}"
+    lines += [f"replaced: {what} in {counted(count, 'pixel')}{of_all}" for what, count in summary.replaced.items()]
     passed_on = ((name, counted(count, "pixel")) for name, count in summary.passed_on.items())
     lines += [f"passed on as in the input: NaN in {pixels} of {name}" for name, pixels in passed_on]
     lines += [f"work saved: {what} in {count} of {frames} frames" for what, count in summary.left_out.items() if count]
     pairs = pairwise((1.0, *summary.exposure))
-    if factors := [max(gain / before, before / gain) for before, gain in pairs if gain not in (1, before)]:
+    changes = (max(gain / before, before / gain) for before, gain in pairs if gain != 1)
+    if factors := [factor for factor in changes if factor > SEEN]:
         lines.append(f"exposure: all light changes in {len(factors)} of {frames} frames, by a factor of up to "
                      f"{max(factors):.3g}, and history with it")  # fmt: skip
     if summary.cuts:
