@@ -13,7 +13,7 @@ from test_graphed import DEVICES, network, nothing_waits, recorded, tolerance
 
 from rtdenoise import ops
 from rtdenoise.frame import RECENT, Known
-from rtdenoise.models import AccumulatedKPNConfig, past
+from rtdenoise.models import AccumulatedKPNConfig, footprint, past
 from rtdenoise.models.hybrid_config import HybridConfig
 from rtdenoise.ops import dispatch
 from rtdenoise.ops.elsewhere import Elsewhere, NotHere, fill, table
@@ -62,8 +62,8 @@ def denoiser(request):
 def device(request, monkeypatch):
     monkeypatch.setattr("rtdenoise.ops.pixels.within", lambda *_: False)  # `sanitise` writes, as on a GPU
     if request.param == "cpu":
-        for op in (recall, over, over_and_coverage):
-            monkeypatch.setattr(past, op.__name__, following(op))
+        for user, op in ((past, recall), (footprint, over), (footprint, over_and_coverage)):
+            monkeypatch.setattr(user, op.__name__, following(op))
     return request.param
 
 

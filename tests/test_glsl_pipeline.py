@@ -127,7 +127,7 @@ def test_float16_activations_stay_close(weights, assert_images_close, preset):
 
 
 @pytest.mark.parametrize("preset", NETWORKS)
-@pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5), (35, 67), (32, 64)])  # (H, W)
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 5), (19, 67), (32, 64)])  # (H, W)
 def test_every_size(weights, assert_images_close, preset, size):
     expected, found, _, _ = both(weights(NETWORKS[preset]), make_frames(3, *size))
     assert_images_close(found, expected, "frame")

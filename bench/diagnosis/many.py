@@ -26,7 +26,7 @@ from torch import Tensor
 from bench.diagnosis.outdated import singles
 from bench.diagnosis.turned import errors, paired, pictures, pictures_of_oidn
 from rtdenoise.frame import Frame
-from rtdenoise.models import HybridConfig, past
+from rtdenoise.models import HybridConfig, footprint
 from rtdenoise.run.choice import open_chosen
 from rtdenoise.run.options import Options
 
@@ -59,12 +59,12 @@ def main(shots: tyro.conf.Positional[tuple[Path, ...]]) -> None:
 
 def before(run: Callable, frames: list[Frame], *ahead: int) -> list[Tensor]:
     """Pictures of `hybrid-large-many` with kernels also where no history is, and with the whole reset."""
-    share, past.RESET_MORE = past.RESET_MORE, 1.0
+    share, footprint.RESET_MORE = footprint.RESET_MORE, 1.0
     needs, HybridConfig.kernels_need_history = HybridConfig.kernels_need_history, False
     try:
         return run(frames, "hybrid-large-many", *ahead)
     finally:
-        past.RESET_MORE, HybridConfig.kernels_need_history = share, needs
+        footprint.RESET_MORE, HybridConfig.kernels_need_history = share, needs
 
 
 def read(shot: Path, references: Path) -> list[Frame]:
