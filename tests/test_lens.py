@@ -180,6 +180,15 @@ def test_after_a_gap_no_lens_is_known(tmp_path):
     assert drifts.told == "--lens: added what the vectors of 2 of 4 frames lack"
 
 
+def test_a_frame_between_others_for_which_nothing_is_found_is_named(tmp_path):
+    frames = shot(6, zoom=0.03)
+    frames[3] = replace(frames[3], albedo=torch.full_like(frames[3].albedo, 0.5))
+    drifts = with_lens(open_sequence(write_sequence(tmp_path / "shot", frames))).drifts
+    assert [drifts.of(i) is not None for i in range(6)] == [False, True, True, False, False, True]
+    told = "--lens: added what the vectors of 3 of 6 frames lack, but found nothing for 3, 4 between them"
+    assert drifts.told == told
+
+
 def test_a_run_that_goes_on_tells_the_lens_of_the_frames_it_has_read(tmp_path):
     drifts = with_lens(open_sequence(write_sequence(tmp_path / "shot", shot(4, zoom=0.03)))).drifts
     drifts.of(3)

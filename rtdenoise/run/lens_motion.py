@@ -65,17 +65,28 @@ class Drifts:
         from .lens import find_drift
 
         if i not in self._found:
-            numbers = self._sequence.numbers
-            follows = i > 0 and numbers[i] == numbers[i - 1] + 1
-            self._found[i] = find_drift(self._frame(i - 1), self._frame(i), self._known) if follows else None
+            pair = (self._frame(i - 1), self._frame(i)) if self._follows(i) else None
+            self._found[i] = find_drift(*pair, self._known) if pair else None
         return self._found[i]
 
     @property
     def told(self) -> str:
-        """Of how many frames the vectors lacked something, among those asked for: a run that goes on asks for some."""
+        """Of how many frames the vectors lacked something, among those asked for: a run that goes on asks for some. A
+        frame that seems to lack nothing amid such is named."""
         lacking, read = sum(drift is not None for drift in self._found.values()), len(self._found)
         some = "" if read == len(self._sequence) else " that this run read"
-        return f"--lens: added what the vectors of {lacking} of {read} frames{some} lack"
+        lone = [self._sequence.numbers[i] for i, drift in sorted(self._found.items()) if not drift and self._between(i)]
+        but = f", but found nothing for {', '.join(map(str, lone))} between them" if lone else ""
+        return f"--lens: added what the vectors of {lacking} of {read} frames{some} lack{but}"
+
+    def _follows(self, i: int) -> bool:
+        """Whether the frame before is there."""
+        numbers = self._sequence.numbers
+        return i > 0 and numbers[i] == numbers[i - 1] + 1
+
+    def _between(self, i: int) -> bool:
+        """Whether vectors lack something within two frames before and after, and the frame before is there."""
+        return self._follows(i) and all(any(self._found.get(i + side * k) for k in (1, 2)) for side in (-1, 1))
 
     def _frame(self, i: int) -> Frame:
         if i not in self._frames:
