@@ -59,7 +59,7 @@ def export(
     """
     out = Path(out)
     if out.is_dir():
-        remove_unfinished(out, inside=True)
+        remove_unfinished(out)
     if out.exists() and (not out.is_dir() or any(path.name not in UNFINISHED for path in out.iterdir())):
         raise InputError(f"{out}: is not an empty folder; choose another --out")
     if blocked := [path for path in out.parents if path.exists() and not path.is_dir()]:
@@ -69,6 +69,7 @@ def export(
     recordings = record(pipeline, [replace(first, motion=None), following])
     for folder in ("glsl", "sample"):
         (out / folder).mkdir(parents=True, exist_ok=True)
+    remove_unfinished(out, inside=True)
 
     shaders = _Shaders(out)
     passes = {
