@@ -21,7 +21,7 @@ from torch import Tensor
 from ..data.opening import open_sequence
 from ..data.sequences import Sequence
 from ..errors import InputError
-from ..files import read_json
+from ..files import read_json, stamp
 from ..frame import Frame
 from ..metrics.image import decibels, masked_mean, reference_mse
 from ..run.pairs import are_same
@@ -114,7 +114,7 @@ class Source:
         """A string that differs between inputs whose errors may differ."""
         sequences = [self.base, self.at(spp), *([self.converged] if self.converged else [])]
         paths = [path for sequence in sequences for f in sequence.files for path in f.files.values()]
-        facts = [[*path.parts[-2:], path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+        facts = [[*path.parts[-2:-1], *stamp(path)] for path in paths]
         text = json.dumps([facts, self.length, self.options, *self._read_by()], sort_keys=True, default=list)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

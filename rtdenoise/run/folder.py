@@ -16,7 +16,7 @@ from ..data.exr import read_header
 from ..data.output_files import protect_input
 from ..data.sequences import Sequence
 from ..errors import InputError
-from ..files import dumps, remove_unfinished, write_atomically
+from ..files import dumps, remove_unfinished, stamp, write_atomically
 from ..models.presets import SHRINKAGE
 from ..models.weights import bytes_beside, files_of, find
 
@@ -84,7 +84,7 @@ def digest(sequence: Sequence, options: Options) -> list[str]:
     found = [running.hexdigest()]
     for frame in sequence.files:
         paths = *frame.files.values(), *others.get(frame.number, ())
-        inputs = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+        inputs = [stamp(path) for path in paths]
         seen = [cameras.get(frame.number + step) for step in (-1, 0, 1)]  # what its motion is computed from
         running.update(json.dumps([inputs, seen], sort_keys=True).encode())
         found.append(running.hexdigest())

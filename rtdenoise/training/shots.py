@@ -21,7 +21,7 @@ from ..evaluate.inputs import Source
 from ..evaluate.measure import check_references
 from ..evaluate.origin import typed
 from ..evaluate.sequence import uncovered
-from ..files import dumps, lock, remove_unfinished, utf8, write_atomically
+from ..files import dumps, lock, remove_unfinished, stamp, utf8, write_atomically
 from ..frame import Frame
 from ..run.choice import known_samples
 from ..sanitise import sanitise
@@ -173,8 +173,7 @@ def _digest(sources: dict[str, Source], first: int, options: CutOptions) -> str:
     """Tells a clip's frames from others of the same numbers, by names, sizes and times of their files."""
     sequences = [it for source in sources.values() for it in (source.base, source.converged) if it]
     frames = [frame for it in sequences for frame in it.files[first : first + options.frames]]
-    found = [(path.name, path.stat()) for frame in frames for path in frame.files.values()]
-    text = dumps([[name, its.st_size, its.st_mtime_ns] for name, its in found])
+    text = dumps([stamp(path) for frame in frames for path in frame.files.values()])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
