@@ -18,6 +18,7 @@ from scripts import imported
 
 from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
+from rtdenoise.files import LOCK, lock
 from rtdenoise.frame import CHANNELS
 from rtdenoise.glsl import Pipeline
 from rtdenoise.glsl.export import export
@@ -218,3 +219,25 @@ def test_a_broken_compiler_is_one_line(tmp_path, monkeypatch, does):
     assert export(tmp_path / "out", "fast", (9, 5)).spirv and (tmp_path / "out" / "export.json").exists()
     with pytest.raises(InputError, match="is not an empty folder"):
         export(tmp_path / "out", "fast", (9, 5))
+
+
+def test_two_exports_do_not_write_into_one_folder(tmp_path, monkeypatch):
+    """Neither while the other writes, nor where it has ended since the folder was found empty."""
+    out = tmp_path / "out"
+    out.mkdir()
+    with lock(out), pytest.raises(InputError, match="another run is writing there"):
+        export(out, "fast", (9, 5))
+    assert [path.name for path in out.iterdir()] == [LOCK]
+    module = importlib.import_module("rtdenoise.glsl.export")
+
+    def ends_first(*given):
+        (out / "export.json").touch()
+        return record(*given)
+
+    record = module.record
+    monkeypatch.setattr(module, "record", ends_first)
+    with pytest.raises(InputError, match="is not an empty folder"):
+        export(out, "fast", (9, 5))
+    (out / "export.json").unlink()
+    monkeypatch.undo()
+    assert export(out, "fast", (9, 5)).dispatches

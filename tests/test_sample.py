@@ -12,6 +12,7 @@ from rtdenoise.data.opening import open_sequence
 from rtdenoise.errors import InputError
 from rtdenoise.evaluate import uncovered
 from rtdenoise.evaluate.demo import SAMPLE, demo
+from rtdenoise.files import lock
 from rtdenoise.models import available
 from rtdenoise.run.inspect import inspect
 
@@ -56,6 +57,12 @@ def test_the_packaged_part_is_taken_where_the_whole_is_not_there(tmp_path, monke
     assert (tmp_path / "out" / "strip.png").is_file()
     with pytest.raises(InputError, match="--signal color: the packaged sample has indirect light alone"):
         demo(tmp_path / "out", signal="color")
+
+
+def test_two_demos_do_not_write_into_one_folder(tmp_path):
+    with lock(tmp_path), pytest.raises(InputError, match="another run is writing there"):
+        demo(tmp_path, methods=("noisy", "accumulate"))
+    assert not (tmp_path / "demo.json").exists()
 
 
 @pytest.mark.parametrize("model", ["paper", "default"])

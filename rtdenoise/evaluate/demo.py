@@ -11,7 +11,7 @@ from rich.table import Table
 from ..color import display_exposure
 from ..data.opening import open_sequence
 from ..errors import InputError
-from ..files import dumps, replacing, write_atomically
+from ..files import dumps, lock, remove_unfinished, replacing, write_atomically
 from ..frame import Frame
 from ..run.preview import animate, strip
 from . import METRICS, REGIONS, Result, evaluate, uncovered
@@ -30,7 +30,7 @@ def demo(
     `strip.png`, an animation and `demo.json` into `out`; prints the table.
 
     `methods` must include "accumulate"; the pictures show it and the last one. Raises InputError where the source or
-    its signal is missing.
+    its signal is missing, and where another run writes to `out`.
     """
     if source is None:
         source = SAMPLE if SAMPLE.is_dir() else WINDOW
@@ -42,6 +42,13 @@ def demo(
         raise InputError(f"{source}: no such folder; expected a sequence with references")
     frames = list(open_sequence(source, signal=signal, layers=("reference", "reference_half")))
     out.mkdir(parents=True, exist_ok=True)
+    with lock(out):
+        remove_unfinished(out)
+        return _demo(out, source, signal, frames, methods)
+
+
+def _demo(out: Path, source: Path, signal: str, frames: list[Frame], methods: tuple[str, ...]) -> list[Result]:
+    """Measure, write and print."""
     results = evaluate(frames, methods)
     noisy = f"{Source.open(source, signal, 'auto', None).spp} spp"
     animation = _draw(out, frames, {result.method: result for result in results}, methods[-1], noisy)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..errors import InputError
-from ..files import dumps, remove_unfinished, write_atomically
+from ..files import LOCK, UNFINISHED, dumps, lock, remove_unfinished, write_atomically
 from ..frame import RECENT
 from .current import current
 from .dispatch import Dispatch
@@ -29,7 +29,7 @@ from .sample import sample_frames
 FORMAT = 1
 FRAMES = ("first", "following")
 ALIGNMENT = 256  # bytes, of every array in weights.bin: the most that Vulkan asks for
-UNFINISHED = {"glsl", "spirv", "sample", "weights.bin"}  # what is written before export.json, the last
+PARTS = {"glsl", "spirv", "sample", "weights.bin"}  # what is written before export.json, the last
 COMPILERS = ("glslangValidator", "glslang")
 WORDS = {"int": (4, 4), "uint": (4, 4), "float": (4, 4), "vec2": (8, 8), "ivec2": (8, 8), "ivec3": (16, 12)}  # std430
 TOLERANCE, HALF_TOLERANCE = 1e-3, 3e-2  # relative to |expected| + rms: other drivers round differently
@@ -55,22 +55,37 @@ def export(
     """Write the passes of a model.
 
     Raises InputError for an unknown model, a number of recent frames that it cannot keep, a folder that holds anything
-    else, a size that the device has no memory for, where there is no OpenGL 4.3, and where glslang rejects a shader.
+    else or that another run writes to, a size that the device has no memory for, where there is no OpenGL 4.3, and
+    where glslang rejects a shader.
     """
     out = Path(out)
-    if out.is_dir():
-        remove_unfinished(out)
-    if out.exists() and (not out.is_dir() or any(path.name not in UNFINISHED for path in out.iterdir())):
-        raise InputError(f"{out}: is not an empty folder; choose another --out")
+    _refuse_other(out)
     if blocked := [path for path in out.parents if path.exists() and not path.is_dir()]:
         raise InputError(f"{out}: {blocked[0]} is not a folder; choose another --out")
     pipeline = Pipeline.load(model, half, **({} if recent is None else {"recent": recent}))
     first, following = sample_frames(size, len(FRAMES))
     recordings = record(pipeline, [replace(first, motion=None), following])
-    for folder in ("glsl", "sample"):
-        (out / folder).mkdir(parents=True, exist_ok=True)
-    remove_unfinished(out, inside=True)
+    out.mkdir(parents=True, exist_ok=True)
+    with lock(out):
+        _refuse_other(out)  # another run may have ended meanwhile
+        remove_unfinished(out, inside=True)
+        return _write(out, recordings, {"model": model, "width": size[1], "height": size[0],
+                                        "tolerance": HALF_TOLERANCE if half else TOLERANCE})  # fmt: skip
 
+
+def _refuse_other(out: Path) -> None:
+    """Raise InputError for a folder that holds anything but what an interrupted export leaves."""
+    ours = {*PARTS, LOCK}
+    if out.exists() and not (
+        out.is_dir() and all(path.name in ours or UNFINISHED.fullmatch(path.name) for path in out.iterdir())
+    ):
+        raise InputError(f"{out}: is not an empty folder; choose another --out")
+
+
+def _write(out: Path, recordings: list[Recording], described: dict) -> Exported:
+    """Write all files. `described`: what export.json says first."""
+    for folder in ("glsl", "sample"):
+        (out / folder).mkdir(exist_ok=True)
     shaders = _Shaders(out)
     passes = {
         name: [_dispatch(step, recording, shaders) for step in recording.steps]
@@ -80,10 +95,8 @@ def export(
     buffers, weights = _buffers(recordings)
     write_atomically(out / "weights.bin", weights)
     document = {
-        "format": FORMAT, "rtdenoise": __version__, "model": model, "width": size[1], "height": size[0],
-        "tolerance": HALF_TOLERANCE if half else TOLERANCE, "shaders": shaders.described(spirv), "buffers": buffers,
-        "keep": _swaps(recordings[-1], buffers), "output": "result",
-        "frames": passes,
+        "format": FORMAT, "rtdenoise": __version__, **described, "shaders": shaders.described(spirv),
+        "buffers": buffers, "keep": _swaps(recordings[-1], buffers), "output": "result", "frames": passes,
         "sample": {name: _sample(out, name, r) for name, r in zip(FRAMES, recordings, strict=True)},
     }  # fmt: skip
     write_atomically(out / "export.json", (dumps(document, indent=1) + "\n").encode())
