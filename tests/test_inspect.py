@@ -390,6 +390,35 @@ def test_right_motion_is_not_called_wrong(source):
     assert notes == []
 
 
+@pytest.mark.parametrize("options", [Options(), Options(lookahead=1), Options(offline=True)],
+                         ids=["auto", "ahead", "offline"])  # fmt: skip
+def test_what_was_noted_of_the_frames_stays(tmp_path, options):
+    """In a run that goes on, in one that was finished, and in denoise.json: what is seen on the way, and of all frames
+    at the end."""
+    made = make_frames(4)
+    zeros, grey = torch.zeros_like(made[0].motion), torch.full_like(made[0].albedo, 0.5)
+    still = [replace(frame, motion=zeros, motion_next=None, albedo=grey) for frame in made]
+    shot, out = write_sequence(tmp_path / "shot", still), tmp_path / "out"
+    options = replace(options, model="fast", detect_cuts=False, shutter=0.7)
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        denoise(str(shot), out, options, on_frame=stop)
+    first = denoise(str(shot), out, options)
+    once = denoise(str(shot), tmp_path / "once", options)
+    for notes in (first.notes, once.notes):
+        assert sum("motion is zero everywhere" in note for note in notes) == 1
+        assert any(note.startswith("--shutter") for note in notes)
+    assert any("albedo is the same" in note for note in once.notes)
+    for folder, before in ((out, first), (tmp_path / "once", once)):
+        assert json.loads((folder / "denoise.json").read_text())["notes"] == before.notes
+        assert denoise(str(shot), folder, options).notes == before.notes
+        assert json.loads((folder / "denoise.json").read_text())["notes"] == before.notes
+
+
 @pytest.mark.parametrize(("moves", "options"), [
     (True, ()), (True, ("--lookahead", "1")), (True, ("--offline",)), (False, ()),
 ])  # fmt: skip

@@ -18,9 +18,9 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from .choice import told_of_samples
-from .folder import prepare
+from .folder import prepare, write_summary
 from .lens_motion import with_lens_if_lacking
-from .options import CombineOptions, Summary, check_samples, told_of_shutter
+from .options import SUMMARY, CombineOptions, Summary, check_samples, told_of_shutter
 from .panorama import with_panorama
 from .surfaces import with_surfaces
 
@@ -82,7 +82,8 @@ def combine(
         notes += unread_options(options, combiner) + missing_layers(source, options, combiner)
         notes += told_of_samples(source, options.samples) if _by_evidence(combiner) else []
         summary = run.run(overwrite, notes)
-    summary.notes += [source.drifts.told] if options.lens else []
+        summary.notes += [source.drifts.told] if options.lens else []
+        write_summary(out / SUMMARY, source, options, summary)
     return summary
 
 

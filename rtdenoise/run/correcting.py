@@ -19,9 +19,9 @@ from ..history import mismatch
 from ..models import Combiner, Shrinkage, Window
 from ..sanitise import faults
 from ..splat import completed
-from .folder import Written, are_finished, digest, refuse_foreign, refuse_other, write_summary
+from .folder import Written, are_finished, digest, refuse_foreign, refuse_other
 from .memory import explained
-from .options import SUMMARY, CombineOptions, Summary, add, of_output
+from .options import CombineOptions, Summary, add, of_output
 from .pairs import both, read_alpha, read_estimate
 from .shadows import find_shadows
 from .state import STATE, read_state, save_state
@@ -79,7 +79,6 @@ class Run:
                 self.summary.written += 1
                 self.on_frame(pair.index + 1, count)
                 started = time.perf_counter()
-        write_summary(self.out / SUMMARY, self.source, self.options, self.summary)
         return self.summary
 
     def _write(self, pair: Pair, window: tuple[Pair | None, ...]) -> None:

@@ -88,7 +88,7 @@ def denoise(
         options.correct,
         lookahead=options.lookahead,
     )
-    notes += told_of_samples(sequence, options.samples)
+    notes += _notes(sequence, options, backend) + told_of_samples(sequence, options.samples)
     notes += told_of_missing(sequence, backend.config.motion is not None, source)
     channel = find_shadows(sequence, options) if channel is None else channel
     shadows, told = open_shadows(channel, options, backend)
@@ -108,9 +108,10 @@ def denoise(
         summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame, picture)
         if picture:
             picture.remove(sequence)
-    lens = [sequence.drifts.told] if options.lens else []
-    unread = [*told_of_shutter(options), *told_of_output(sequence, options)]
-    summary.notes = list(dict.fromkeys([*notes, *unread, *summary.notes, *lens]))
+        notes += [*told_of_shutter(options), *told_of_output(sequence, options)]
+        lens = [sequence.drifts.told] if options.lens else []
+        summary.notes = list(dict.fromkeys([*notes, *summary.notes, *lens]))
+        write_summary(out / SUMMARY, sequence, options, summary)
     return summary
 
 
@@ -134,7 +135,6 @@ def _run(
     if not done:  # so that the next run knows the first frame for its own
         save_state(out / STATE, {}, 0, fingerprints[0], summary, options)
     summary.skipped, summary.gaps, summary.ran = done, list(sequence.gaps), backend.ran
-    summary.notes += _notes(sequence, options, backend)
     names = output_names(sequence, options.layout, options.recombine)
     written = Written(out, names[:done])
     if picture and done < len(sequence):
@@ -209,10 +209,10 @@ def _run(
                 hand_over(i, this.raw, image, history, dict(summary.left_out))
         if waits:
             hand_over(i, waits[0].raw, waits[1], history, dict(summary.left_out))
-    if reach and done < len(sequence):
-        finish_state(out / STATE, fingerprints[-1], summary, written.digest)
+    seen = len(summary.notes)
     watch.end(len(sequence), len(summary.cuts))
-    write_summary(out / SUMMARY, sequence, options, summary)
+    if done < len(sequence) and (reach or len(summary.notes) > seen):
+        finish_state(out / STATE, fingerprints[-1], summary, written.digest)
     return summary
 
 

@@ -43,7 +43,7 @@ from .folder import (
     write_summary,
 )
 from .following import Following
-from .options import EXAMINED, SUMMARY, Options, Summary, add, of_output
+from .options import EXAMINED, SUMMARY, Options, Summary, add, of_output, told_of_shutter
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import BYTES_PER_PIXEL, check_disk, read_estimate, write_estimate
@@ -83,8 +83,10 @@ def denoise_offline(
     with lock(out):
         remove_unfinished(out)
         summary = _Run(sequence, out, options, passes, on_frame).run(overwrite)
-    summary.notes[:0] = [*notes, *told_of_output(sequence, options)]
-    summary.notes += [sequence.drifts.told] if options.lens else []
+        notes += [*told_of_shutter(options), *told_of_output(sequence, options), *_notes(sequence, passes)]
+        lens = [sequence.drifts.told] if options.lens else []
+        summary.notes = list(dict.fromkeys([*notes, *summary.notes, *lens]))
+        write_summary(out / SUMMARY, sequence, options, summary)
     return summary
 
 
@@ -112,7 +114,7 @@ class _Run:
         count = len(self.sequence)
         done, history, summary = (0, None, Summary()) if overwrite else self._resume()
         self.summary, self.written = summary, Written(self.out, self.names[: self._written(done)])
-        summary.skipped, summary.gaps, summary.notes = self._written(done), list(self.sequence.gaps), self._notes()
+        summary.skipped, summary.gaps = self._written(done), list(self.sequence.gaps)
         summary.ran, self.watch = self.backend.ran, Watch(summary.notes)
         refuse_no_folder(self.estimates)
         if not done:
@@ -140,14 +142,14 @@ class _Run:
                     self.written.add(self.names[k])
                     summary.written += 1
             summary.seconds += time.perf_counter() - started
+            if step + 1 == count:
+                self.watch.end(count, len(summary.cuts))
             self._save(step + 1, history)
             if step >= count:
                 for path in (self._path(i), self._combined(i + 2)):
                     path.unlink(missing_ok=True)
             self.on_frame(step + 1, 2 * count)
         clear(self.estimates, OF_ESTIMATE.fullmatch)
-        self.watch.end(count, len(summary.cuts))
-        write_summary(self.out / SUMMARY, self.sequence, self.options, summary)
         return summary
 
     def _forward(self, i: int, history: Any) -> Any:
@@ -228,13 +230,6 @@ class _Run:
     def _examined(self) -> list[Frame]:
         return [self.sequence.read(i) for i in range(min(EXAMINED, len(self.sequence)))]
 
-    def _notes(self) -> list[str]:
-        notes = list(self.passes.notes)
-        lacks = not self.sequence.has("motion_next")
-        if len(self.sequence) > 1 and lacks:
-            notes.append("the files have no motion_next: the backward pass approximates it from motion and depth")
-        return notes
-
     @property
     def estimates(self) -> Path:
         return self.out / ESTIMATES
@@ -277,3 +272,10 @@ class _Run:
         save_state(
             self.out / STATE, fields, done, self.fingerprint, self.summary, self.options, self.written.digest
         )  # fmt: skip
+
+
+def _notes(sequence: Sequence, passes: Passes) -> list[str]:
+    """What the user should know of the passes."""
+    if len(sequence) == 1 or sequence.has("motion_next"):
+        return list(passes.notes)
+    return [*passes.notes, "the files have no motion_next: the backward pass approximates it from motion and depth"]

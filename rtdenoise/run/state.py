@@ -19,7 +19,7 @@ STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history afte
 MARKS = ("fingerprint", "written")  # of the input, and of the finished files
 FINISHED = "finished"  # of a whole run whose state is that before its last frames
 LARGE, PAUSE = 2**18, 2.0  # pixels beyond which a picture is large, and seconds between states then
-COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the summary, which a state keeps
+COUNTS = ("replaced", "passed_on", "cuts", "left_out", "exposure")  # of the summary, which a state keeps with its notes
 
 
 class Due:
@@ -65,6 +65,10 @@ def _counts(so_far: dict) -> Summary:
     gains = summary.exposure
     if not (isinstance(gains, list) and all(type(gain) is float and 0 < gain < math.inf for gain in gains)):
         raise ValueError("brightness that is not positive")
+    notes = so_far.get("notes", [])
+    if not (isinstance(notes, list) and all(isinstance(note, str) for note in notes)):
+        raise ValueError("notes that are no text")
+    summary.notes = notes
     return summary
 
 
@@ -77,14 +81,15 @@ def save_state(
 
 
 def finish_state(path: Path, fingerprint: str, summary: Summary, written: str) -> None:
-    """Note in the state of a run that it has come to its end, with frames that lacked some of those after them."""
+    """Note in the state of a run that it has come to its end, with frames that lacked some of those after them, or with
+    notes that hold while no frames are appended."""
     history, metadata = read_history(path)
     finished = {"fingerprint": fingerprint, "so_far": json.loads(_so_far(summary)), "written": written}
     write_history(path, history, metadata | {FINISHED: json.dumps(finished)})
 
 
 def _so_far(summary: Summary) -> str:
-    return json.dumps({key: getattr(summary, key) for key in COUNTS})
+    return json.dumps({key: getattr(summary, key) for key in (*COUNTS, "notes")})
 
 
 def linked(sequence: Sequence, i: int, cuts: list[int]) -> bool:

@@ -105,7 +105,9 @@ class Watch:
     """Notes each once in a run."""
 
     def __init__(self, notes: list[str]) -> None:
-        self._notes, self._before, self._told = notes, None, False
+        """`notes`: those that an interrupted run has made of the frames before, to add to."""
+        self._notes, self._before = notes, None
+        self._told = any(note.startswith(UNMOVED.partition("{")[0]) for note in notes)
         self._seen = 0  # frames
         self._verdicts: list[Verdict] = []  # of the first pairs that move
         self._drifts: list[Drift | None] = []  # likewise, and of the first pairs with motion 0 that have any
@@ -171,8 +173,11 @@ class Watch:
         wrong = [verdict.best for verdict in self._verdicts if verdict.status == "wrong"]
         if len(wrong) == PAIRS and len(set(wrong)) == 1:
             self._notes.append(WRONG.format(wrong[0]))
-        elif len(self._drifts) == PAIRS and all(self._drifts):
+        elif len(self._drifts) == PAIRS and all(self._drifts) and not self._told_of_lens():
             self._notes.append(str(self._drifts[0]))
+
+    def _told_of_lens(self) -> bool:
+        return any(note.endswith(LACKS.partition("{}")[2]) for note in self._notes)
 
 
 def _changed(before: np.ndarray, now: np.ndarray, relative: float, absolute: float, counts: np.ndarray) -> float:
