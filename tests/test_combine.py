@@ -261,7 +261,10 @@ def test_killed_right_after_a_frame_was_written_anew(shot, clean, tmp_path, fram
     assert_same(tmp_path / "out", tmp_path / "once")
 
 
-def test_bad_pixels_are_counted_once(tmp_path, frames, options):
+@pytest.mark.parametrize("killed", [None, 2, 3], ids=["whole", "before any frame", "after one"])
+def test_bad_pixels_are_counted_once(tmp_path, frames, options, killed):
+    """Also where the run that writes frames anew is killed."""
+
     def growing(first, last):
         noisy, denoised = [frame.radiance.clone() for frame in frames], [estimate(frame) for frame in frames]
         noisy[2][..., 3, 3], denoised[3][..., :2, 0] = torch.nan, torch.inf
@@ -270,7 +273,11 @@ def test_bad_pixels_are_counted_once(tmp_path, frames, options):
         return write_sequence(tmp_path / "shot", spoiled[first:last]), tmp_path / "clean"
 
     run(*growing(0, 4), tmp_path / "out", options=options)
-    summary = run(*growing(4, COUNT), tmp_path / "out", options=options)  # writes two frames anew
+    grown = growing(4, COUNT)
+    if killed:
+        with pytest.raises(Stop):
+            run(*grown, tmp_path / "out", options=options, on_frame=stop_after(killed))
+    summary = run(*grown, tmp_path / "out", options=options)  # writes two frames anew
     assert summary.replaced == {"radiance: NaN or Inf": 1, "denoised: NaN or Inf": 2}
     assert np.isfinite(pixels(tmp_path / "out" / "frame.0003.exr")).all()
 

@@ -148,14 +148,15 @@ class Run:
         refuse_other(self.out, state, self.options, "" if seen is None else self.fingerprints[seen])
         if not are_finished(self.out, self.names[:done], self.source.size, state["written"]):
             return 0, Summary()
-        self.counted = done
+        self.counted = state["counted"]
         if seen < len(self.source):  # the last frames could not look ahead then
             done = min(done, max(0, seen - reach))
         return done, summary
 
     def _save(self, done: int) -> None:
         save_state(
-            self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest
+            self.out / STATE, {}, done, self.fingerprints[-1], self.summary, self.options, self.written.digest,
+            self.counted,
         )  # fmt: skip
 
 

@@ -45,6 +45,7 @@ def read_state(path: Path, backend: Backend | None = None) -> tuple[int, Any, Su
         stored, metadata = read_history(path)
         done, summary = int(metadata["done"]), _counts(json.loads(metadata["so_far"]))
         recorded = {key: metadata[key] for key in MARKS}
+        recorded["counted"] = int(metadata.get("counted", done))
         recorded["options"] = dict(json.loads(metadata["options"]))
         recorded["finished"] = None
         if FINISHED in metadata:
@@ -73,10 +74,13 @@ def _counts(so_far: dict) -> Summary:
 
 
 def save_state(
-    path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = ""
-) -> None:
-    """Write the state of a run: `history` is a backend's `save`, `written` a `folder.Written.digest`."""
+    path: Path, history: dict, done: int, fingerprint: str, summary: Summary, options: Options, written: str = "",
+    counted: int = 0,
+) -> None:  # fmt: skip
+    """Write the state of a run: `history` is a backend's `save`, `written` a `folder.Written.digest`, `counted` the
+    frames that the summary counts, where they are more than are done."""
     metadata = {"done": str(done), "fingerprint": fingerprint, "so_far": _so_far(summary), "written": written}
+    metadata["counted"] = str(max(done, counted))
     write_history(path, history, metadata | {"options": json.dumps(asdict(options))})
 
 
