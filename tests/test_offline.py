@@ -326,6 +326,7 @@ def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):
     common = ("denoise", shot, "--out", tmp_path / "out", "--model", model)
     assert "--confidence: goes with --offline" in refused(capsys, *common, "--confidence")
     assert "goes with --backend torch" in refused(capsys, *common, "--offline", "--backend", "glsl")
+    assert "--lookahead: goes without --offline" in refused(capsys, *common, "--offline", "--lookahead", "0")
     assert "--layout plain" in refused(capsys, *common, "--offline", "--confidence", "--layout", "source")
     told = refused(capsys, *common[:4], "--model", "paper", "--offline")
     assert "does not average light" in told and "choose hybrid, default, many or fast" in told
@@ -334,8 +335,9 @@ def test_what_does_not_go_together_is_refused(shot, tmp_path, model, capsys):
 
 
 def test_a_full_disk_is_found_before_the_first_frame(shot, tmp_path, options, monkeypatch):
-    monkeypatch.setattr("rtdenoise.run.stored_estimate.shutil.disk_usage", lambda path: type("Usage", (), {"free": 10}))
-    with pytest.raises(rtdenoise.InputError, match="GB there while it runs"):
+    usage = type("Usage", (), {"free": 1e5})
+    monkeypatch.setattr("rtdenoise.run.stored_estimate.shutil.disk_usage", lambda path: usage)
+    with pytest.raises(rtdenoise.InputError, match=r"keeps 0\.\d MB there while it runs, 0\.1 MB are free; choose"):
         denoise(str(shot), tmp_path / "out", options)
     assert not list((tmp_path / "out").glob("*.exr"))
 

@@ -167,6 +167,13 @@ def test_what_cannot_be_cut_is_one_line(tmp_path, shot, capsys):
     assert "is another clip; choose another --out" in other
 
 
+def test_a_shot_that_is_named_twice_is_refused(tmp_path, shot, capsys):
+    """Its clips would be in the set twice."""
+    again = shot / ".." / shot.name
+    assert "shot: is named twice" in error_of(capsys, shot, again, "--out", tmp_path / "clips", *SMALL)
+    assert not (tmp_path / "clips").exists()
+
+
 def test_a_set_does_not_become_smaller(tmp_path, shot, capsys):
     """Training would take the clips of the shot that is left out, too."""
     out, second = tmp_path / "clips", write_sequence(tmp_path / "second", make_frames(9, H=26, W=36, seed=1))

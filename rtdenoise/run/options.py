@@ -242,7 +242,7 @@ def check(options: Options) -> None:
         check_lookahead(options.lookahead)
     if options.offline and options.backend == "glsl":
         raise InputError("--offline: goes with --backend torch; the compute shaders run forward only")
-    if options.lookahead not in (0, AUTO) and options.offline:
+    if options.lookahead != AUTO and options.offline:
         raise InputError("--lookahead: goes without --offline, which looks at all frames")
     if options.motion_blur and (options.signal != "color" or options.recombine or options.lights or options.also):
         raise InputError("--motion-blur: goes with --signal color, without --recombine, --lights and --also")

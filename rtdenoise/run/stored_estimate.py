@@ -11,6 +11,7 @@ import numpy as np
 
 from ..data.stored import read_history, write_history
 from ..errors import InputError
+from ..wording import size_of
 from . import combined
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ def check_disk(out: Path, frames: int, size: tuple[int, int]) -> None:
     most = BYTES_PER_PIXEL * frames + combined.BYTES_PER_PIXEL  # that of a frame comes before its estimate goes
     needed, free = most * size[0] * size[1], shutil.disk_usage(out).free
     if needed > free:
-        raise InputError(f"{out}: --offline keeps {needed / 1e9:.1f} GB there while it runs, {free / 1e9:.1f} GB are "
-                         "free; choose another --out or fewer frames at a time")  # fmt: skip
+        raise InputError(f"{out}: --offline keeps {size_of(needed)} there while it runs, {size_of(free)} are free; "
+                         "choose another --out or fewer frames at a time")  # fmt: skip
 
 
 def write_estimate(path: Path, estimate: Estimate) -> None:

@@ -75,11 +75,15 @@ def cut_clips(
     """Cut shots into clips in the folder `out`, and describe them in DATA.md and dataset.json. Returns their number.
 
     Windows lie side by side, in space and in time; where there are more than `options.count`, a random choice is taken.
-    Clips that are there are kept. Raises InputError where a shot lacks references or features, is smaller or shorter
-    than a clip, or `out` holds clips of other shots or options, or more of them, or of frames that were changed since.
+    Clips that are there are kept. Raises InputError where a shot is named twice, lacks references or features, is
+    smaller or shorter than a clip, or `out` holds clips of other shots or options, or more of them, or of frames that
+    were changed since.
     """
     if references and len(references) != len(shots):
         raise InputError(f"--reference: expected a folder for each of {len(shots)} shots, got {len(references)}")
+    places = [Path(shot).resolve() for shot in shots]
+    if twice := [shot for shot, place in zip(shots, places, strict=True) if places.count(place) > 1]:
+        raise InputError(f"{twice[0]}: is named twice")
     opened = [_open(shot, options.preset, *references[i : i + 1]) for i, shot in enumerate(shots)]
     spp = [_samples(sources, options) for sources in opened]
     windows = [window for i, sources in enumerate(opened) for window in _windows(i, sources, options)]
