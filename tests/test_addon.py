@@ -40,6 +40,23 @@ def parts():
     return found
 
 
+@pytest.fixture
+def operators(parts, monkeypatch):
+    """The add-on's operators: the other modules that they use stand in for themselves, and bpy has an empty class."""
+    import importlib.util
+    import types
+
+    monkeypatch.setattr(sys.modules["bpy"], "types", types.SimpleNamespace(Operator=object), raising=False)
+    for name in ("compositor", "passes"):
+        stand_in = types.ModuleType(f"addon_parts.{name}")
+        monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+        monkeypatch.setattr(sys.modules["addon_parts"], name, stand_in, raising=False)
+    spec = importlib.util.spec_from_file_location("addon_parts.operators", ADDON / "operators.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture(scope="module")
 def zipped(wheel, tmp_path_factory):
     return builder.build(wheel, tmp_path_factory.mktemp("zip"))
@@ -184,6 +201,48 @@ def test_cancel_ends_the_whole_group(parts, tmp_path):
     assert time.monotonic() - started < 4 and not job.poll()
     time.sleep(1.7)
     assert not (tmp_path / "late").exists() and not (tmp_path / "next").exists()
+
+
+@pytest.mark.parametrize("fails", ["job", "finished", "cleared"])
+def test_what_blender_raises_ends_the_job_in_a_sentence(operators, parts, fails):
+    """A job that went on for ever kept all others from beginning."""
+    from types import SimpleNamespace
+
+    said = []
+
+    class Operator(operators.Watched):
+        def report(self, kind, sentence):
+            said.append((kind, sentence))
+
+        def job(self, context):
+            if fails == "job":
+                raise RuntimeError("Error: no space left\n")
+            return parts["process"].Job([])
+
+        def finished(self, context):
+            raise RuntimeError("Error: no space left\n")
+
+        def cleared(self):
+            if fails == "cleared":
+                raise PermissionError(13, "Permission denied")
+
+    context = SimpleNamespace(window_manager=SimpleNamespace(windows=()))
+    assert Operator().execute(context) == {"CANCELLED"}
+    assert operators.running is None and operators.message == "Error: no space left"
+    assert said == [({"ERROR"}, "Error: no space left")]
+
+
+@pytest.mark.parametrize("text, names", [
+    ("", ()), ("Combined_key Combined_fill", ("Combined_key", "Combined_fill")), ("a,b , c", ("a", "b", "c")),
+    ("Combined_key light, Combined_fill", ("Combined_key light", "Combined_fill")),
+    ("Shadow  Catcher,Combined_key b", ("Shadow Catcher", "Combined_key", "b")),
+])  # fmt: skip
+def test_names_of_passes_may_hold_spaces(parts, text, names):
+    from types import SimpleNamespace
+
+    groups = [SimpleNamespace(name=name) for name in ("key light", "fill")]
+    layer = SimpleNamespace(lightgroups=groups, aovs=[SimpleNamespace(name="a")])
+    assert parts["work"].also_of(text, parts["work"].additive(layer)) == names
 
 
 def test_frames_go_by_their_numbers(parts, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from .process import Job, Trouble
 INTERVAL = 0.25  # seconds between two looks at the job
 running: Job | None = None
 message = ""  # how the last job ended
+# OSError: a full disk, a folder that is gone. RuntimeError: what Blender raises where it cannot save or load a file.
+TROUBLES = Trouble, OSError, RuntimeError
 
 
 def preferences(context: bpy.types.Context) -> bpy.types.AddonPreferences | None:
@@ -93,7 +96,7 @@ class Watched:
         message = ""
         try:
             running = self.job(context)
-        except (Trouble, OSError) as trouble:  # as in `_look`
+        except TROUBLES as trouble:
             self._tell({"ERROR"}, trouble)
             return False
         return True
@@ -109,8 +112,9 @@ class Watched:
                 return None
             self._tell({"INFO"}, self.finished(context))
             return self._end(context, {"FINISHED"})
-        except (Trouble, OSError) as trouble:  # OSError: a full disk, a folder that is gone
-            self.cleared()
+        except TROUBLES as trouble:
+            with contextlib.suppress(OSError):
+                self.cleared()
             self._tell({"ERROR"}, trouble)
             return self._end(context, {"CANCELLED"})
 
@@ -125,7 +129,7 @@ class Watched:
 
     def _tell(self, kind: set[str], sentence: object) -> None:
         global message
-        message = str(sentence)
+        message = " ".join(str(sentence).split())  # Blender's own end in a line break
         self.report(kind, message[:1].upper() + message[1:])
 
 

@@ -87,7 +87,7 @@ def begin(context: bpy.types.Context) -> Work:
         raise Trouble(f"{folder} cannot be written to ({reason}): choose another folder under Denoise Animation")
     work = Work(
         scene.name, context.view_layer.name, settings.samples, scene.frame_start, scene.frame_end, settings.light,
-        tuple(settings.also.replace(",", " ").split()), str(folder), str(folder / "noisy"), str(folder / "clean"),
+        also_of(settings.also, additive(context.view_layer)), str(folder), str(folder / "noisy"), str(folder / "clean"),
         lens=any(item.type == "CAMERA" and item.data.animation_data is not None for item in scene.objects),
         source=str(Path(bpy.data.filepath).parent), surfaces=str(folder / "surfaces") if blurs(context) else "",
         shutter=render.motion_blur_shutter, shutter_position=render.motion_blur_position.lower(),
@@ -101,6 +101,18 @@ def begin(context: bpy.types.Context) -> Work:
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / COPY), copy=True, relative_remap=True, compress=True)
     share_cache(Path(bpy.data.filepath), folder / COPY)
     return work
+
+
+def additive(layer: bpy.types.ViewLayer) -> set[str]:
+    """The names of a view layer's passes of light groups, of its own, and of shadows on a catcher."""
+    groups = {f"Combined_{group.name}" for group in layer.lightgroups}
+    return groups | {aov.name for aov in layer.aovs} | {"Shadow Catcher"}
+
+
+def also_of(text: str, known: set[str]) -> tuple[str, ...]:
+    """Names of passes between commas or spaces; one of `known` may hold spaces itself, between commas."""
+    parts = [" ".join(part.split()) for part in text.split(",")]
+    return tuple(name for part in parts for name in ([part] if part in known else part.split()))
 
 
 def remove_frames(*folders: Path) -> None:
