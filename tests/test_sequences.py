@@ -269,6 +269,17 @@ def test_files_are_sorted_by_number(tmp_path):
     assert open_sequence(folder / "shot7_9.exr").numbers == (9,)
 
 
+def test_a_slice_is_a_sequence(tmp_path):
+    sequence = open_sequence(write_native(tmp_path / "shot", range(10, 16)))
+    middle, second = sequence[1:-1], sequence[::2]
+    assert middle.numbers == (11, 12, 13, 14) and middle.gaps == () and len(middle) == 4
+    assert [frame.number for frame in middle] == [11, 12, 13, 14]
+    assert torch.equal(middle[0].radiance, sequence[1].radiance)
+    assert second.numbers == (10, 12, 14) and second.gaps == ((11, 11), (13, 13)) and len(sequence[6:]) == 0
+    assert message(sequence.__getitem__, slice(None, None, -1)).endswith("reversed(sequence) for its frames backwards")
+    assert [frame.number for frame in reversed(sequence)] == [15, 14, 13, 12, 11, 10]
+
+
 def test_places_without_a_sequence(tmp_path):
     gone = tmp_path / "gone"
     assert message(open_sequence, gone) == f"{gone}: does not exist; give a folder of EXR files or a glob"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ..errors import InputError
 from ..frame import Frame
 from .components import check_components
 from .exr_format import ExrHeader
-from .files import FrameFiles
+from .files import FrameFiles, find_gaps
 from .fog import with_fog
 from .layers import SIGNALS
 from .layout import SCALES, Layout, Rule, pixels
@@ -32,7 +33,8 @@ DEFAULT_LAYERS = ("radiance", *MOVED)
 
 @dataclass(frozen=True)
 class Sequence:
-    """Frames in order of their numbers: `len(s)`, `s[i]`, `for frame in s`. Every access reads the file anew.
+    """Frames in order of their numbers: `len(s)`, `s[i]`, `for frame in s`; `s[:10]` is a sequence of its own. Every
+    access reads the file anew.
 
     Layers that the files lack are None in the frames. Exceptions are `motion` and `motion_next`, which are computed
     where `position`, `id` and a `scene.json` allow it.
@@ -88,11 +90,24 @@ class Sequence:
     def __iter__(self) -> Iterator[Frame]:
         return (self[i] for i in range(len(self)))
 
-    def __getitem__(self, i: int) -> Frame:
-        """Frame i (not the frame with the number i): `[1, C, H, W]` float32 tensors.
+    @overload
+    def __getitem__(self, i: int) -> Frame: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> Sequence: ...
+
+    def __getitem__(self, i):
+        """Frame i (not the frame with the number i): `[1, C, H, W]` float32 tensors. Of a slice the sequence of these
+        frames, with `gaps` where some are left out. Raises InputError for one that goes backwards.
 
         Values are as stored, non-finite ones too, except that the depth of misses (inf, Cycles' 1e10) becomes 0.
         """
+        if isinstance(i, slice):
+            if (i.step or 1) < 0:
+                raise InputError(f"a sequence has its frames in order of their numbers, got a step of {i.step}; take "
+                                 "reversed(sequence) for its frames backwards")  # fmt: skip
+            files = self.files[i]
+            return replace(self, files=files, gaps=find_gaps(files))
         import torch
 
         return self.read(i).map(torch.from_numpy)
