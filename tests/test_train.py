@@ -379,6 +379,22 @@ def test_shading_multiplies_noise_and_reference_alike(seed):
     assert shaded.albedo is frame.albedo and shaded.normal is frame.normal
 
 
+def test_a_run_from_before_there_was_an_option_goes_on(config):
+    """Where it has its default now."""
+    train(config)
+    path = config.out / "config.json"
+    stored = json.loads(path.read_text())
+    for option in ("shade", "loss_power"):
+        del stored["options"][option]
+    path.write_text(json.dumps(stored))
+    train(config)
+    with pytest.raises(InputError, match=r"started with shade = 0\.0, not 0\.5"):
+        train(replace(config, shade=0.5))
+    path.write_text('{"options": {}}')
+    with pytest.raises(InputError, match="not the options of a run"):
+        train(config)
+
+
 def test_what_does_not_fit_is_refused(config, tmp_path):
     train(config)
     with pytest.raises(InputError, match="started with lr"):

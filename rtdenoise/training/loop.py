@@ -178,14 +178,17 @@ def _compared(config: TrainConfig) -> dict:
 
 
 def _same_config(config: TrainConfig, path: Path) -> None:
-    """Write the options of a new run; refuse to go on with other ones."""
+    """Write the options of a new run; refuse to go on with other ones. Options that a run from before lacks were as
+    they are now unless given."""
     options = _compared(config)
     if not path.exists():
         write_atomically(path, (json.dumps({"version": __version__, "options": options}, indent=1) + "\n").encode())
         return
     try:
-        before = dict(read_json(path)["options"])
+        before = _compared(TrainConfig((), config.out)) | {"model": None} | read_json(path)["options"]
         changed = [key for key, now in options.items() if before[key] != now]
+        if before["model"] is None:
+            raise ValueError("no network")
     except (ValueError, KeyError, TypeError):  # ValueError: InputError too
         raise InputError(f"{path}: not the options of a run; use another --out") from None
     if changed:
