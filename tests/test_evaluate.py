@@ -244,6 +244,17 @@ def test_names_of_methods_are_whole_in_80_columns():
     assert all(word in text for word in ("hybrid-large-ahead6", "31.42", "0.0213", "0.084", "1234", "kitchen_v012"))
 
 
+@pytest.mark.parametrize("metric, shown", [
+    ("fovvideovdp", "7.42"), ("smape", "7.420"), ("tpsnr", "7.42"), ("mse_corrected", "7.42000"),
+])  # fmt: skip
+def test_the_table_shows_what_alone_was_measured(metric, shown):
+    row = {"sequence": "shot", "spp": 1, "method": "default", "precision": "fp32",
+           "errors": {"frame": {metric: 7.42}, "uncovered": {}}, "ms": {"median": 12.0}}  # fmt: skip
+    with (console := Console(width=80, markup=False, emoji=False)).capture() as printed:
+        console.print(summary([row]))
+    assert shown in printed.get().split()
+
+
 def test_the_table_has_names_of_folders_as_they_are(tmp_path, capsys):
     shot = write_sequence(tmp_path / "shot[v2]:cat:", make_frames(2))
     main(["evaluate", str(shot), "--out", str(tmp_path / "out"), "--methods", "noisy", "--metrics", "psnr"])

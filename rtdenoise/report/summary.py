@@ -10,15 +10,17 @@ from rich.table import Table
 from .markdown import write_number
 from .readings import METRICS, label
 
-SHOWN = {"psnr_corrected": "psnr", "ssim": "", "relmse": "", "flip": ""}  # or what stands for it where it is unknown
+# Or what stands for it where it is unknown.
+SHOWN = {"psnr_corrected": "psnr", "ssim": "", "relmse": "", "flip": "", "fovvideovdp": ""}
 LEAST = len("hybrid-ahead6")  # width of the names of methods
 REGIONS = ("frame", "uncovered")
 
 
 def summary(rows: Sequence[dict]) -> Table:
     """`rows`: those of `document.Document.results`, a line each. Decibels over both regions, others over the frame;
-    metrics that were not measured have no column."""
+    metrics that were not measured have no column. Where none of `SHOWN` was, all that were have one."""
     metrics = [m for pair in SHOWN.items() for m in _known(pair, rows)]
+    metrics = metrics or [m for m in METRICS if _known((m, ""), rows)]
     columns = [(m, region) for m in metrics for region in REGIONS if region == "frame" or METRICS[m].unit == "dB"]
     table = Table(box=box.SIMPLE, padding=0)  # a space between columns
     table.add_column("sequence", overflow="fold")
