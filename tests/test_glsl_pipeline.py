@@ -2,6 +2,8 @@
 
 import json
 import os
+import select
+import signal
 import subprocess
 import sys
 import threading
@@ -22,6 +24,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.exposure import exposure, limit_fireflies
 from rtdenoise.frame import Known
 from rtdenoise.glsl import GpuArray, Pipeline, ShaderError, expand
+from rtdenoise.glsl.context import create_context
 from rtdenoise.glsl.dispatch import dispatch
 from rtdenoise.glsl.passes import SELECT_GROUP
 from rtdenoise.glsl.source import shaders
@@ -328,6 +331,31 @@ def test_a_renderer_shares_its_context(mine, weights):
     image, history = pipeline.step(frame)
     assert pipeline.ctx is history.denoised.buffer.ctx is mine
     assert np.array_equal(image, Pipeline.load(model).step(frame)[0])
+
+
+def test_shaders_in_a_fork_are_refused(weights):
+    """Drivers wait there for ever: for a pipeline of the process before, and for one of its own."""
+    pipeline, (frame,) = Pipeline.load(weights(SMALL["paper"])), map(arrays, make_frames(1))
+    pipeline.step(frame)
+    reader, writer = os.pipe()
+    if not (child := os.fork()):
+        said = []
+        for call in (lambda: pipeline.step(frame), create_context):
+            try:
+                call()
+            except InputError as error:
+                said.append(str(error))
+        os.write(writer, "\n".join(said).encode())
+        os._exit(0)
+    try:
+        assert select.select([reader], [], [], 60)[0], "the fork hangs"
+        assert os.read(reader, 1000).decode().count("get_context('spawn')") == 2
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(reader)
+        os.close(writer)
+    assert np.isfinite(pipeline.step(frame)[0]).all()
 
 
 def test_a_pipeline_of_another_thread_is_refused(weights):

@@ -12,7 +12,7 @@ import moderngl
 import numpy as np
 
 from ..errors import InputError
-from .current import current, remember_handle, restored
+from .current import current, refuse_fork, remember_handle, restored
 
 PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"  # Debian and Ubuntu; a vendor's own driver serves as well
 
@@ -27,8 +27,9 @@ def create_context() -> moderngl.Context:
     """A context without a window: OpenGL 4.3 or later, through EGL on Linux. It belongs to the thread that creates it.
     Another context that is current there stays so, if it is EGL's.
 
-    Raises InputError where there is no such driver.
+    Raises InputError where there is no such driver, and as `current.refuse_fork`.
     """
+    refuse_fork()
     backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
     with restored():
         try:

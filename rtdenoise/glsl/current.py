@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from ..errors import InputError
 
 DRAW, READ = 0x3059, 0x305A  # EGL_DRAW, EGL_READ
 _HANDLE = "rtdenoise_handle"  # attribute of a context: EGL's, 0 where it is not EGL's
+_processes: set[int] = set()  # that which uses OpenGL, and in its forks that from which they come
 
 
 @contextmanager
@@ -21,8 +23,9 @@ def current(ctx: moderngl.Context) -> Iterator[None]:
     """Make a context current in this thread. Afterwards the one before is current again, if it is EGL's. Where there
     was none, this one stays.
 
-    Raises InputError where another thread has the context.
+    Raises InputError where another thread has the context, and as `refuse_fork`.
     """
+    refuse_fork()
     with restored():
         before, known = _handle(), vars(ctx).get(_HANDLE)
         if not known or before != known:
@@ -32,6 +35,14 @@ def current(ctx: moderngl.Context) -> Iterator[None]:
                                  "them, and beside no context of GLX; make another Denoiser or Pipeline")  # fmt: skip
         ctx.gc()  # what has been dropped meanwhile, perhaps under another context
         yield
+
+
+def refuse_fork() -> None:
+    """Raise InputError in a fork of a process that had begun to use OpenGL: drivers wait there for ever."""
+    _processes.add(os.getpid())
+    if len(_processes) > 1:
+        raise InputError("shaders cannot run in a fork of a process that uses OpenGL; start processes anew, as by "
+                         "multiprocessing.get_context('spawn')")  # fmt: skip
 
 
 @contextmanager
