@@ -707,3 +707,6 @@ def test_the_report_opens_in_a_browser(shot, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["view", str(tmp_path / "nowhere")])
     assert "rtdenoise evaluate SEQ --out" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(["view", str(out / "evaluation.json")])
+    assert "evaluation.json: is no report; name the folder" in capsys.readouterr().err

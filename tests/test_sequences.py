@@ -283,6 +283,7 @@ def test_a_slice_is_a_sequence(tmp_path):
 def test_places_without_a_sequence(tmp_path):
     gone = tmp_path / "gone"
     assert message(open_sequence, gone) == f"{gone}: does not exist; give a folder of EXR files or a glob"
+    assert message(open_sequence, os.devnull).startswith(f"{os.devnull}: is no regular file; give a folder")
     for counter in ("####", "@", "%04d", "%d", "$F4", "${F}", "<F4>"):
         assert message(open_sequence, gone / f"v3.{counter}.exr").endswith(f" in quotes: '{gone / 'v3.*.exr'}'")
     assert message(open_sequence, gone / "*.exr") == f"{gone / '*.exr'}: no file fits this glob"

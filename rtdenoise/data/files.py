@@ -142,7 +142,8 @@ def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Pa
     if not has_magic(str(path)):
         star = path.with_name(re.sub(COUNTER, "*", path.name))
         example = "" if star == path else f" in quotes: '{star}'"
-        raise InputError(f"{path}: does not exist; give a folder of {suffix[1:].upper()} files or a glob{example}")
+        problem = "is no regular file" if path.exists() else "does not exist"
+        raise InputError(f"{path}: {problem}; give a folder of {suffix[1:].upper()} files or a glob{example}")
     found = [p for p in map(Path, glob(str(path))) if p.is_file()]
     if not found:
         raise InputError(f"{path}: no file fits this glob")

@@ -43,10 +43,12 @@ def report(folder: Path, pictures: tuple[str, ...] = (), sequences: tuple[str, .
 
 
 def find_page(path: Path) -> Path:
-    """The report.html of a folder, or `path` itself if it is a file. It is written where it is missing or older than
-    evaluation.json. Raises InputError where there is neither."""
+    """The report.html of a folder, or `path` itself if it is such a page. It is written where it is missing or older
+    than evaluation.json. Raises InputError where there is neither, and for another file."""
     path = Path(path)
     if path.is_file():
+        if path.suffix.lower() not in (".html", ".htm"):
+            raise InputError(f"{path}: is no report; name the folder that `rtdenoise evaluate` wrote, or a report.html")
         return path
     page, numbers = path / "report.html", path / NAME
     if not page.is_file() or (numbers.is_file() and numbers.stat().st_mtime > page.stat().st_mtime):
