@@ -1,5 +1,7 @@
 """`rtdenoise.Denoiser`: numpy or torch, any layout, and a sentence for whatever is wrong."""
 
+import copy
+import pickle
 import re
 import warnings
 from dataclasses import replace
@@ -432,3 +434,12 @@ def test_a_pixel_that_is_not_finite_has_samples_too(frames):
     for samples in (2, 16):
         found, wanted = (play(shot, batches, correct=True, samples=samples) for shot in (broken, black))
         assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))
+
+
+@pytest.mark.parametrize("backend", ["torch", "glsl"])
+@pytest.mark.parametrize("call", [pickle.dumps, copy.copy, copy.deepcopy])
+def test_it_says_that_it_cannot_be_pickled_or_copied(backend, call):
+    """A copy would share caches with the first; functions in them cannot be pickled."""
+    denoiser = rtdenoise.Denoiser("fast", backend=backend)
+    with pytest.raises(TypeError, match=r"neither pickled nor copied.*in each process its own"):
+        call(denoiser)

@@ -154,6 +154,10 @@ class Denoiser:
         """Forget the frames so far: the next one starts a new shot. What `lookahead` has delayed still comes."""
         self._history = None
 
+    def __reduce_ex__(self, protocol: int) -> Any:
+        raise TypeError("a rtdenoise.Denoiser can be neither pickled nor copied, as it holds memory of its device; "
+                        "make another one, in each process its own")  # fmt: skip
+
     def _end_shot(self) -> None:
         """Denoise what `lookahead` has delayed without the frames after; what cannot be is given up."""
         try:
