@@ -240,4 +240,4 @@ def test_two_exports_do_not_write_into_one_folder(tmp_path, monkeypatch):
         export(out, "fast", (9, 5))
     (out / "export.json").unlink()
     monkeypatch.undo()
-    assert export(out, "fast", (9, 5)).dispatches
+    assert export(out, "fast", (9, 5)).dispatches and not (out / LOCK).exists()

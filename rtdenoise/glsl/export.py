@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -69,8 +70,11 @@ def export(
     with lock(out):
         _refuse_other(out)  # another run may have ended meanwhile
         remove_unfinished(out, inside=True)
-        return _write(out, recordings, {"model": model, "width": size[1], "height": size[0],
+        done = _write(out, recordings, {"model": model, "width": size[1], "height": size[0],
                                         "tolerance": HALF_TOLERANCE if half else TOLERANCE})  # fmt: skip
+        with contextlib.suppress(OSError):  # Windows keeps what is open
+            (out / LOCK).unlink()  # an engine has no use for it; export.json refuses all further exports
+        return done
 
 
 def _refuse_other(out: Path) -> None:
