@@ -42,10 +42,11 @@ def lacks_lens(sequence: Sequence) -> bool:
     cannot be read says nothing: the run tells of it."""
     if sequence.layout.name != "cycles" or not (sequence.has("motion") and sequence.has("albedo")):
         return False
-    drifts, last = Drifts(sequence), len(sequence) - 1
+    hints, drifts, last = Drifts(sequence, known=True), Drifts(sequence), len(sequence) - 1
     for i in range(min(FIRST, last), last + 1, STEP):
         with suppress(InputError):
-            if drifts.of(i):
+            # What a pair hints at, one beside it may show: in a pair of its own much may be uncovered, or hardly move.
+            if hints.of(i) and any(drifts.of(j) for j in (i, i - 1, i + 1) if 0 < j <= last):
                 return True
     return False
 
