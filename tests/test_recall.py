@@ -12,15 +12,17 @@ from rtdenoise.color import albedo_divisor
 from rtdenoise.constants import GLOSS, RECALL_SAME
 from rtdenoise.errors import InputError
 from rtdenoise.exposure import noise_level
-from rtdenoise.frame import OFF_SCREEN, History
+from rtdenoise.frame import OFF_SCREEN, Frame, History
 from rtdenoise.history import load_history, resize, save_history
 from rtdenoise.models import AccumulatedKPNConfig
+from rtdenoise.models.past import turning
 from rtdenoise.ops.keep import keep
 from rtdenoise.ops.kept import edge_motion
 from rtdenoise.ops.pixels import accumulate
 from rtdenoise.ops.recall import FOOTPRINT, recall, unchanged, white
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled, carried
+from rtdenoise.sanitise import sanitise
 
 SIZE = 16, 24
 SMALL = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, footprint=True)
@@ -289,6 +291,23 @@ def test_resets_are_kept(network):
     newest, middle, oldest = (reset_of(kept) for kept in history.recent)
     assert not oldest.any()  # it has none before it
     assert (newest > 0).all() and (middle > 0).all() and (newest < 0.2).all()
+
+
+def test_paths_end_where_something_else_passed(network):
+    """A rod before a plate, as near and facing alike, passes to the right by a column of pixels a frame."""
+    here = torch.arange(SIZE[1]).expand(1, 1, *SIZE)
+    shot = []
+    for i in range(4):
+        rod = here // 4 == i + 1
+        motion = torch.where(rod, image(-4.0, 0.0), image(0.0, 0.0))
+        surface = {"albedo": image(0.5, 0.5, 0.5), "normal": WALL[1], "depth": torch.where(rod, 3.9, WALL[0])}
+        shot.append(Frame(noisy(), **surface, motion=motion, motion_next=-motion, number=i))
+    _, history = run(network, shot)
+    for age, kept in enumerate(history.recent[:2]):
+        left = here // 4 == len(shot) - 1 - age  # where the rod was in the frame before that
+        assert torch.equal(reset_of(kept) == 1, left)
+    after = turning(*map(sanitise, shot[1:3]))
+    assert torch.equal(after == 1, here // 4 == 3)  # the rod will be there
 
 
 def run(model, frames, history=None):

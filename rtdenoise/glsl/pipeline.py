@@ -194,7 +194,8 @@ class Pipeline:
             with self._stage("reprojection"):
                 recent = passes.recent.keep(inputs, motion, "motion" in layers), *(() if first else history.recent)
                 if not first:
-                    passes.recent.forget(reset, turned, recent[0])
+                    way = vectors, history.surface, chosen if dual else None
+                    passes.recent.forget(reset, turned, recent[0], inputs, *way)
             after = replace(after, recent=recent[: self.config.recent])
         if self.accumulates:
             with self._stage("reprojection"):

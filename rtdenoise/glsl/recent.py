@@ -39,10 +39,22 @@ class Recent:
             dispatch("hybrid/keep", size[::-1], buffers | {"guide": inputs.guide}, MOVES=int(moves))
         return kept
 
-    def forget(self, reset: GpuArray, turned: GpuArray | None, kept: GpuArray) -> None:
-        """Write into a kept frame how far light was reset to it: by the network, [H, W], and where it `turned`."""
-        buffers = {"reset": reset, "turned": turned or reset, "kept": kept}
-        dispatch("accumulated_kpn/forget", kept.shape[:0:-1], buffers, TURNS=int(turned is not None))
+    def forget(
+        self,
+        reset: GpuArray,  # [H, W] of the network
+        turned: GpuArray | None,
+        kept: GpuArray,
+        inputs: Inputs,
+        vectors: GpuArray,
+        surface_before: GpuArray,
+        chosen: GpuArray | None,  # of `history_motion`, where that is dual
+    ) -> None:
+        """Write into a kept frame how far light was reset to it: by the network, where it `turned`, and where something
+        else passed (`models.past.passed`)."""
+        buffers = {"reset": reset, "turned": turned or reset, "kept": kept, "vectors": vectors}
+        buffers |= {"chosen": chosen or vectors, "surface": inputs.surface, "surface_before": surface_before}
+        kinds = {"TURNS": int(turned is not None), "DUAL": int(chosen is not None)}
+        dispatch("accumulated_kpn/forget", kept.shape[:0:-1], buffers, **kinds)
 
     def recall(
         self,

@@ -162,6 +162,7 @@ class AccumulatedKPN(nn.Module):
         after = History(output, frame.motion_next, frame.depth, frame.normal, length, mean, mean_albedo, frame.radiance)
         if self.config.recent:
             reset = torch.zeros_like(frame.depth) if history is None else heads.reset.detach()
+            reset = reset if past.passed is None else reset.masked_fill(past.passed, 1)
             recent = kept(self.config, frame, reset, noisy, known.shift), *(history.recent if history else ())
             after = replace(after, recent=recent[: self.config.recent])
         if self.config.footprint:

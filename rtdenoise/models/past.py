@@ -14,6 +14,7 @@ from torch import Tensor
 from ..constants import OUTDATED_PICTURE, RECALL_BOTH_SIDES
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
+from ..motion import same_surface
 from ..ops import reproject, warp
 from ..ops.agrees import agrees
 from ..ops.glow import left_by_glow
@@ -46,6 +47,7 @@ class Past:
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
     turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces or textures have moved; None: unknown
     outdated: Tensor | None = None  # [B, 1, H, W] likewise, as light has changed in all recent frames (`ops.outdated`)
+    passed: Tensor | None = None  # [B, 1, H, W] bool: `passed`; None: nothing has
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
@@ -127,7 +129,9 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
         newest = recall(noisy, motion, here, history.recent[:1]).count
         shown &= (1 - turn) * flashed(found, newest) < OUTDATED_PICTURE
     output, seen = torch.where(shown, output, frame.radiance), seen & shown
-    return Past(light, albedo, length, (1 - turn) * albedo_length, output, seen, uncovered, turn, old, *seen_there)
+    left = (1 - turn) * albedo_length
+    hidden = passed(frame, uncovered, history)
+    return Past(light, albedo, length, left, output, seen, uncovered, turn, old, hidden, *seen_there)
 
 
 def _outdated(found: Tensor, agree: Tensor, asked: Sequence, turn: Tensor) -> Tensor:
@@ -172,8 +176,17 @@ def coming(config: Config, frame: Frame, turn: Tensor, shift: Tensor | None = No
 
 
 def turning(frame: Frame, following: Frame) -> Tensor:
-    """How far surfaces turn, or textures move over them, from a frame to the one after it, `[B, 1, H, W]` in [0, 1]."""
-    return _turned(frame, following, frame.motion_next)
+    """How far surfaces turn, or textures move over them, from a frame to the one after it, `[B, 1, H, W]` in [0, 1]; 1
+    where something else passes (`passed`)."""
+    back = History(following.radiance, following.motion, following.depth, following.normal)
+    covered = history_motion(reverse(frame), back)[2]
+    return _turned(frame, following, frame.motion_next).masked_fill(passed(reverse(frame), covered, back), 1)
+
+
+def passed(frame: Frame, uncovered: Tensor, history: History) -> Tensor:
+    """Where motion leads to something else that was before the surface, as near and facing alike: an arm before a body,
+    `[B, 1, H, W]` bool. No test of surfaces tells, so that paths (`ops.recall`) must not go on there."""
+    return uncovered & same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion)
 
 
 def _turned(frame: Frame, other: Frame, motion: Tensor) -> Tensor:
