@@ -50,7 +50,7 @@ class Recent:
         chosen: GpuArray | None,  # of `history_motion`, where that is dual
     ) -> None:
         """Write into a kept frame how far light was reset to it: by the network, where it `turned`, and where something
-        else passed (`models.past.passed`)."""
+        else passed (`ops.passed`)."""
         buffers = {"reset": reset, "turned": turned or reset, "kept": kept, "vectors": vectors}
         buffers |= {"chosen": chosen or vectors, "surface": inputs.surface, "surface_before": surface_before}
         kinds = {"TURNS": int(turned is not None), "DUAL": int(chosen is not None)}

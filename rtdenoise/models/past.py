@@ -14,13 +14,13 @@ from torch import Tensor
 from ..constants import OUTDATED_PICTURE, RECALL_BOTH_SIDES
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known, reverse
-from ..motion import same_surface
 from ..ops import reproject, warp
 from ..ops.agrees import agrees
 from ..ops.glow import left_by_glow
 from ..ops.keep import keep
 from ..ops.off_pixel import off_pixel
 from ..ops.outdated import flashed, outdated
+from ..ops.passed import passed
 from ..ops.pixels import demodulate, joined
 from ..ops.recall import Recalled, recall
 from ..ops.retextured import retextured
@@ -47,7 +47,7 @@ class Past:
     uncovered: Tensor  # [B, 1, H, W] bool: just uncovered by a moving object
     turned: Tensor | None = None  # [B, 1, H, W] share that gives way, as surfaces or textures have moved; None: unknown
     outdated: Tensor | None = None  # [B, 1, H, W] likewise, as light has changed in all recent frames (`ops.outdated`)
-    passed: Tensor | None = None  # [B, 1, H, W] bool: `passed`; None: nothing has
+    passed: Tensor | None = None  # [B, 1, H, W] bool, likewise: `ops.passed`
     footprint: Tensor | None = None  # [B, 9, H, W] mean of `footprint` in recent frames, where the history keeps any
     footprint_count: Tensor | None = None  # [B, 1, H, W] frames in it
     later: History | None = None  # what the frames after know (`later`)
@@ -129,8 +129,8 @@ def _before(config: Config, frame: Frame, noisy: Tensor, history: History, known
         newest = recall(noisy, motion, here, history.recent[:1]).count
         shown &= (1 - turn) * flashed(found, newest) < OUTDATED_PICTURE
     output, seen = torch.where(shown, output, frame.radiance), seen & shown
+    hidden = passed(uncovered, here, before, frame.motion) if config.recent else None
     left = (1 - turn) * albedo_length
-    hidden = passed(frame, uncovered, history)
     return Past(light, albedo, length, left, output, seen, uncovered, turn, old, hidden, *seen_there)
 
 
@@ -177,16 +177,12 @@ def coming(config: Config, frame: Frame, turn: Tensor, shift: Tensor | None = No
 
 def turning(frame: Frame, following: Frame) -> Tensor:
     """How far surfaces turn, or textures move over them, from a frame to the one after it, `[B, 1, H, W]` in [0, 1]; 1
-    where something else passes (`passed`)."""
-    back = History(following.radiance, following.motion, following.depth, following.normal)
+    where something else passes (`ops.passed`)."""
+    here, there = (frame.depth, frame.normal), (following.depth, following.normal)
+    back = History(following.radiance, following.motion, *there)
     covered = history_motion(reverse(frame), back)[2]
-    return _turned(frame, following, frame.motion_next).masked_fill(passed(reverse(frame), covered, back), 1)
-
-
-def passed(frame: Frame, uncovered: Tensor, history: History) -> Tensor:
-    """Where motion leads to something else that was before the surface, as near and facing alike: an arm before a body,
-    `[B, 1, H, W]` bool. No test of surfaces tells, so that paths (`ops.recall`) must not go on there."""
-    return uncovered & same_surface(frame.depth, frame.normal, history.depth, history.normal, frame.motion)
+    turn = _turned(frame, following, frame.motion_next)
+    return turn.masked_fill(passed(covered, here, there, frame.motion_next), 1)
 
 
 def _turned(frame: Frame, other: Frame, motion: Tensor) -> Tensor:

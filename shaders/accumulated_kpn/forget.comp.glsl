@@ -1,6 +1,6 @@
 #version 430
 // Write into a kept frame how far light was reset to it: later frames count older ones so much less (ops.recall). With DUAL
-// wholly where something else, that is alike, was before what has been uncovered (models.past.passed).
+// wholly where something else, that is alike, was before what has been uncovered (ops.passed).
 #pragma constants RECALL_RESET DUAL DEPTH_TOLERANCE MIN_NORMAL_COSINE
 #include "image.glsl"
 #include "bfloat16.glsl"
