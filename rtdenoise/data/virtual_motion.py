@@ -15,18 +15,15 @@ import numpy as np
 
 from ..frame import Frame
 from .around import EIGHT, shifted
+from .ended import with_seen_albedo
+from .virtual_depth import AGREES, axes, seen_behind
 
-DRAWN = 3000  # pixels to which paths and camera are fitted
-FIELDS = np.append(0, np.geomspace(0.05, 12, 120))  # (width of the picture / focal length)² that are tried: to 120°
-AGREES = 2e-3  # of a depth: what paths are measured to
 LEAST = 0.1  # share of the drawn pixels that must agree
-MOST_SHORT = 0.01  # share of the pixels whose path may be shorter than its first part, as after a wrong fit
 TRIALS, POINTS = 300, 6  # cameras that are tried, and pixels to which each is fitted: 11 unknowns
 MOVES_ALIKE, STANDS = 0.05, 1e-3  # pixels a frame
 DISTINCT = 1e-3  # how far from ambiguous a fit must be, as where all surfaces lie in one plane
 CELL, CELLS, LEAST_FLAT = 16, 20, 16  # pixels at least, or a part of the width: of a cell; pixels of a mirror in it
 FLAT = 0.01  # how far normals differ in a cell of a mirror that is flat
-LONGER = 1.01  # times the depth of the surface: from then on a path goes on behind it
 SAME_DEPTH, SAME_ALBEDO = 0.1, 0.2  # pixels are alike: relative; of each channel
 LEAST_ALIKE = 3  # of the pixels around, for one to be no stray
 
@@ -42,32 +39,21 @@ def with_virtual_motion(
     A path leads to the first surface that is neither mirror nor glass. Its length may be measured along the ray where
     depth is measured along the view, and begin at a near plane: the frame tells. What is seen has the pixel's albedo.
     Where that and the path are unlike those around, as where a pane reflects one sample of many, both are taken from a
-    pixel beside it.
+    pixel beside it. Dots whose path ended at a mirror of any kind have the albedo of what is seen around them.
 
-    The frame itself where nothing is seen so, where the camera stands still, where no camera that maps straight lines
-    to straight lines fits, and where what stands still lies in one plane, so that it does not tell of other depths.
+    Motion stays where the camera stands still, where no camera that maps straight lines to straight lines fits, and
+    where what stands still lies in one plane, so that it does not tell of other depths. The frame itself where nothing
+    is seen in mirrors or through panes.
     """
     motions = {name: motion for name in ("motion", "motion_next") if (motion := getattr(frame, name)) is not None}
     if len(frame.radiance) != 1 or any(x is None for x in (frame.albedo, frame.normal, frame.depth, frame.motion)):
         return frame
-    depth, length = frame.depth[0, 0], length[0, 0]
-    known = (depth > 0) & (length > 0) & np.isfinite(depth) & np.isfinite(length)
-    drawn = _draw(known)
-    if len(drawn) < POINTS:
+    seen = seen_behind(frame.depth[0, 0], length[0, 0])
+    if seen is None:
         return frame
-    unit = np.median(depth.flat[drawn])
-    depth, length = (np.where(known, image, 0) / unit for image in (depth, length))
-    fit = _fit_paths(depth, length, drawn)
-    if fit is None:
-        return frame
-    field, near = fit
-    x, y = _axes(depth.shape)
-    behind = length / np.sqrt(1 + np.float32(field) * (x * x + y * y)) + np.float32(near)
-    through = known & (behind > LONGER * depth)
-    short = known & (behind < depth / LONGER)
-    if not through.any() or short.sum() > MOST_SHORT * known.sum():
-        return frame
-    through &= _is_flat(frame.normal[0], through)
+    frame = with_seen_albedo(frame, seen)
+    depth, behind, drawn = seen.depth, seen.behind, seen.drawn
+    through = seen.through & _is_flat(frame.normal[0], seen.through)
     plain = drawn[np.abs(behind - depth).flat[drawn] < AGREES * depth.flat[drawn]]
     cameras = {name: _fit_camera(depth, motion[0], plain) for name, motion in motions.items()}
     cameras = {name: camera for name, camera in cameras.items() if camera is not None}
@@ -83,28 +69,6 @@ def with_virtual_motion(
         motions[name] = motions[name].copy()
         motions[name][0][:, *place] = _moved(camera, place, behind)
     return replace(frame, albedo=albedo, **motions)
-
-
-def _fit_paths(depth: np.ndarray, length: np.ndarray, drawn: np.ndarray) -> tuple[float, float] | None:
-    """(k, c), so that a path which ends at its first surface has the length sqrt(1 + k r²) (depth - c), with r from the
-    middle of the picture in widths: as most of the pixels can agree on. None where too few do."""
-    x, y = _axes(depth.shape)
-    r2 = (x * x + y * y).flat[drawn].astype(np.float64)
-    z, d = (image.flat[drawn].astype(np.float64) for image in (depth, length))
-    near = np.sort(z - d / np.sqrt(1 + FIELDS[:, None] * r2), axis=1)  # what c each pixel asks for
-    counts = np.stack([np.searchsorted(row, row + AGREES) for row in near]) - np.arange(len(drawn))
-    row, first = np.unravel_index(counts.argmax(), counts.shape)
-    k, c = FIELDS[row], np.median(near[row, first : first + counts[row, first]])
-    for _ in range(5):
-        stretch = np.sqrt(1 + k * r2)
-        left = d - stretch * (z - c)
-        agree = np.abs(left) < 2 * AGREES * d
-        if not agree.any():
-            return None
-        slopes = np.stack([r2 * (z - c) / (2 * stretch), -stretch], 1)
-        step = np.linalg.lstsq(slopes[agree], left[agree], rcond=None)[0]
-        k, c = max(k + step[0], 0.0), c + step[1]
-    return (k, c) if agree.mean() > LEAST and -AGREES < c < z.min() else None
 
 
 def _fit_camera(depth: np.ndarray, motion: np.ndarray, drawn: np.ndarray) -> np.ndarray | None:
@@ -149,22 +113,9 @@ def _moved(camera: np.ndarray, place: tuple[np.ndarray, np.ndarray], depth: np.n
 
 
 def _points(place: tuple[np.ndarray, np.ndarray], depth: np.ndarray) -> np.ndarray:
-    """(x, y, 1, 1 / depth) at places (rows, columns), `[4, N]`; x and y as `_axes`."""
-    x, y = _axes(depth.shape)
+    """(x, y, 1, 1 / depth) at places (rows, columns), `[4, N]`; x and y as `axes`."""
+    x, y = axes(depth.shape)
     return np.stack([x[0, place[1]], y[place[0], 0], np.ones(len(place[0]), np.float32), 1 / depth[place]])
-
-
-def _axes(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """x `[1, W]` and y `[H, 1]` of the pixels' centres: in widths, from the middle of the picture."""
-    H, W = size
-    x, y = ((np.arange(n, dtype=np.float32) + np.float32(0.5 - n / 2)) / np.float32(W) for n in (W, H))
-    return x[None], y[:, None]
-
-
-def _draw(where: np.ndarray) -> np.ndarray:
-    """Up to DRAWN pixels of an image, by chance and always the same, of which those count that are meant: indices."""
-    drawn = np.random.default_rng(0).integers(where.size, size=DRAWN)
-    return drawn[where.flat[drawn]]
 
 
 def _is_flat(normal: np.ndarray, where: np.ndarray) -> np.ndarray:
