@@ -112,6 +112,7 @@ MIX_SHARES, MIX_SHARES_OF_MANY = (0.4, 0.2, 0.4), (0.3, 0.0, 0.0)
 MIX_SHARES_OF_CLEAN = (0.3, 0.2, 0.3)  # beside pixels of albedo and normal without noise
 MIX_FAR = 0.1  # compressed light: a previous picture that differs by more counts as if it differed by this
 MIX_UNCOVERED = 0.2  # likewise the kernels' picture, in pixels that were just uncovered: it spreads what shone beside
+MIX_WORD_FROM, MIX_WORD_WHOLE = 2.0, 4.0  # noise (`exposure.noise_level`) from which on few samples tell, and wholly
 MIX_TELLS = 0.5  # in those the noisy frame tells less than so far of the pixel itself
 MIX_SEEN_ONCE = 0.6  # share of the noisy light where one frame has seen a pixel, and others have a history
 EVENED_NOISE = 0.3  # noise (`exposure.noise_level`) from which on that is its share; without noise it is 1

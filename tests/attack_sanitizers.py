@@ -139,7 +139,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     yield "expand_within", expand_within(3 * other, other, image.abs())
     pictures = other, other.flip(3), one, share, (0.4, 0.1, 0.1)
     told = image.abs(), seen.float(), other, share
-    for more in ((), told[:2], told, (*told, depth)):
+    for more in ((), told[:2], told, (*told, depth), (*told, depth, 0.5 * one)):
         yield f"mix {len(more)}", mix(*pictures, *more)
     yield "settle", settle(other, other.flip(3), image.abs(), share, share.flip(3), one)
     yield "block_luminance", block_luminance(image, 8)

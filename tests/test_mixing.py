@@ -4,17 +4,19 @@ import torch
 
 from rtdenoise import ops
 from rtdenoise.color import compress, expand
-from rtdenoise.constants import MIX_SHARES, MIX_UNCOVERED
+from rtdenoise.constants import MIX_SHARES, MIX_UNCOVERED, MIX_WORD_FROM, MIX_WORD_WHOLE
+from rtdenoise.models.hybrid import heard
 from rtdenoise.ops.evened import held_and_tells
 from rtdenoise.ops.mix import mix as mixture
 from rtdenoise.ops.mix import share_told
 
 
-def mix(image, picture, scale, trust=1.0, before=None, held=1.0, shares=MIX_SHARES, noisy=None, depth=None):
+def mix(image, picture, scale, trust=1.0, before=None, held=1.0, shares=MIX_SHARES, noisy=None, depth=None, word=None):
     """`ops.mix` with one number, or a picture of them, for trust and held."""
     trust, held = (torch.as_tensor(x).expand_as(image[:, :1]) for x in (trust, held))
     held, tells = held_and_tells(held, image.dtype)
-    return mixture(image, picture, scale, trust, shares, before, held, noisy, None if noisy is None else tells, depth)
+    tells = None if noisy is None else tells
+    return mixture(image, picture, scale, trust, shares, before, held, noisy, tells, depth, word)
 
 
 def test_it_is_between_all_pictures():
@@ -90,6 +92,19 @@ def test_the_mixture_goes_where_the_frame_leads():
     torch.testing.assert_close(few[..., :16, :16], less[..., :16, :16])
     nowhere = mix(smooth, truth, one, before=smooth, held=0 * held, noisy=truth)  # none has a past: as a first frame
     assert torch.equal(nowhere, mix(smooth, truth, one, noisy=truth))
+
+
+def test_the_word_of_few_samples_counts_as_far_as_there_is_noise():
+    torch.manual_seed(0)
+    truth, smooth, one = 0.1 + torch.rand(1, 3, 48, 48), torch.full((1, 3, 48, 48), 0.6), torch.ones(1, 1, 1, 1)
+    plain, led = mix(smooth, truth, one), mix(smooth, truth, one, noisy=truth)
+    assert torch.equal(mix(smooth, truth, one, noisy=truth, word=one), led)
+    torch.testing.assert_close(mix(smooth, truth, one, noisy=truth, word=0 * one), plain, rtol=1e-5, atol=1e-6)
+    half = mix(smooth, truth, one, noisy=truth, word=0.5 * one)
+    between = (half - plain).abs() + (half - led).abs() - (led - plain).abs()
+    assert between.max() < 1e-5 and (half - plain).abs().max() > 0.01
+    noise = torch.tensor([0.0, MIX_WORD_FROM, 1e3, MIX_WORD_WHOLE]).view(4, 1, 1, 1)
+    assert heard(noise).flatten().tolist() == [0, 0, 1, 1]
 
 
 def test_before_the_sky_the_other_shows_alone():

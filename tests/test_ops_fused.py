@@ -302,8 +302,8 @@ def test_pictures_are_mixed_alike(both, assert_images_close, size, has_noisy, ha
     more += (noisy, tells) if has_noisy else (None, None)
     depth = 5.0 * (torch.rand(2, 1, *size) < 0.1)
     pictures = first, other, torch.tensor([0.01, 30.0]).view(2, 1, 1, 1), trust, (0.4, 0.1, 0.1), *more
-    for skies in ((), (depth,)):
-        plain, fused = both(mix, *pictures, *skies)
+    for last in ((), (depth,), (depth, torch.tensor([0.0, 0.3]).view(2, 1, 1, 1))):
+        plain, fused = both(mix, *pictures, *last)
         assert_images_close(fused, plain, "float32")
 
 

@@ -34,7 +34,7 @@ class Pixels:
         past: GpuArray,  # [H, W] rgb, flags
         seen: GpuArray,  # [3, H, W] rgb, frames · albedo, trust · normal, stays: with this frame
         shown: GpuArray,  # the same with edges that move: what is filtered
-        level: GpuArray,  # [2] of `Recent.level`
+        level: GpuArray,  # [3] of `Recent.level`
         result: GpuArray,  # [3, H, W] the kernels' picture, which becomes the mixture
         denoised: GpuArray,  # [H, W] the same as an image for history
     ) -> None:
@@ -47,7 +47,8 @@ class Pixels:
         written, mixed = (scratch.image(f"pixels.{name}", (H, W)) for name in ("written", "mixed"))
         pictures = {"light": inputs.light, "guide": inputs.guide, "denoised": denoised, "statistics": statistics}
 
-        dispatch("hybrid/cells", size, {"seen": seen, "past": past, "cells": cells}, group=CELL_GROUP)
+        buffers = {"seen": seen, "past": past, "level": level, "cells": cells}
+        dispatch("hybrid/cells", size, buffers, group=CELL_GROUP)
         if self._surfaces:
             shown = self._surfaces.clean(shown)
         features = self._network.input((H, W))

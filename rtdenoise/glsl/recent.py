@@ -129,13 +129,14 @@ class Recent:
         return lone
 
     def level(self, inputs: Inputs) -> GpuArray | None:
-        """What the noise of this frame decides of footprints, [2]: how much less lookups off the pixel count
-        (`models.past.misplaced`), and how far light is evened (`models.hybrid`). None without footprints."""
+        """What the noise of this frame decides of footprints, [3]: how much less lookups off the pixel count
+        (`models.past.misplaced`), how far light is evened, and how much the frame's word counts (`models.hybrid`). None
+        without footprints."""
         if not self._footprints:
             return None
         H, W = inputs.surface.shape[:2]
         windows = tuple(max(n - NOISE_WINDOW, 0) // NOISE_WINDOWS + 1 for n in (H, W))
-        relative, level = self._scratch("relative", windows), self._scratch("level", (2,))
+        relative, level = self._scratch("relative", windows), self._scratch("level", (3,))
         if min(H, W) < NOISE_WINDOW:
             fill(relative, NO_WINDOW)
         else:

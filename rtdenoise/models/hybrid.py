@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..constants import EVENED_NOISE
+from ..constants import EVENED_NOISE, MIX_WORD_FROM, MIX_WORD_WHOLE
 from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, Frame, History, Known
 from ..ops.around import greatest_around
@@ -66,13 +66,14 @@ class Hybrid(AccumulatedKPN):
                 share = away_from_glow(trust * noisy * past.stays, frame.albedo)
                 radiance = evened(radiance, after.footprint_count, image, share)
             held, tells = held_and_tells(held, image.dtype)
+            word = None if self.config.many else heard(known.noise)
         pixels = written(
             lambda lit: self.pixels(lit, *guides), radiance, image, known.exposure, self.pixels.greatest
         )
 
         before = None if self.config.many else past.output
         shown = mix(image, pixels, known.exposure, trust, self.shares, before, held, frame.radiance, tells,
-                    frame.depth)  # fmt: skip
+                    frame.depth, word)  # fmt: skip
         if not self.keeps_fireflies:
             shown = without_fireflies(shown, frame.depth, frame.normal, trust * held)
         shown = even_sky(shown, frame.radiance, frame.depth)
@@ -80,3 +81,8 @@ class Hybrid(AccumulatedKPN):
         if not self.keeps_footprint:
             after = replace(after, footprint=None, footprint_count=None)
         return shown, after, kernels
+
+
+def heard(noise: Tensor) -> Tensor:
+    """How much the word of a frame of few samples counts (`ops.mix`), in [0, 1], of its `exposure.noise_level`."""
+    return ((noise - MIX_WORD_FROM) / (MIX_WORD_WHOLE - MIX_WORD_FROM)).clamp(0, 1)

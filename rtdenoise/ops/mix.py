@@ -7,7 +7,9 @@ With f(x) = log(1 + x), exposure s, the previous picture where each pixel was (`
 
 with the shares a and b, and h = 1 where there is such a previous picture, else 0 (`held`). Where the noisy frame is
 known, a is what it tells (`share_told`): the more samples a pixel, the more that is. Where it tells of other pixels, a
-is that, but not more than usual and not less than the last share.
+is that, but not more than usual and not less than the last share. Of few samples its `word` counts as far as there is
+noise: without, a sample differs from the truth by the place within the pixel that it saw, and both pictures have that,
+too (docs/notes/trust.md).
 
 In pixels that were just uncovered, where the frame tells of others (`tells` below `MIX_TELLS`), f(s · first) is at most
 `MIX_UNCOVERED` from f(s · other): kernels spread what shines beside, and nothing has averaged that yet.
@@ -47,11 +49,12 @@ def mix(
     noisy: Tensor | None = None,  # [B, 3, H, W] the frame; None: shares are as they are
     tells: Tensor | None = None,  # [B, 1, H, W] in [0, 1], with `noisy`: how far it tells of the pixel
     depth: Tensor | None = None,  # [B, 1, H, W] of the frame: no a where 3×3 pixels hit nothing (0); None: all hit
+    word: Tensor | None = None,  # [B, 1, 1, 1] in [0, 1], with `noisy`: how much it counts; None: wholly
 ) -> Tensor:  # [B, 3, H, W] ≥ 0
     """The mixture; the equation stands above."""
     images = {"first": first, "other": other, "trust": trust, "before": before, "held": held, "noisy": noisy}
     if run := FUSED(**images, tells=tells, depth=depth):
-        return run(first, other, scale, trust, shares, before, held, noisy, tells, depth)
+        return run(first, other, scale, trust, shares, before, held, noisy, tells, depth, word)
 
     def shown(x: Tensor) -> Tensor:
         return compress(scale * x.clamp(min=0))
@@ -62,6 +65,7 @@ def mix(
         kernels = torch.where(tells < MIX_TELLS, near, kernels)
         told = share_told(noisy, first, other, scale, share)
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
+        share = share if word is None else torch.lerp(share.new_tensor(shares[0]), share, word)
     if depth is not None:
         share = share * (F.max_pool2d(depth, 3, stride=1, padding=1) > 0)
     mixed = torch.lerp(written, kernels, trust * share)

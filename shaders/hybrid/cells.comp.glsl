@@ -5,7 +5,8 @@
 
 #pragma reads vec4 seen    // [3, H, W] rgb, frames · …
 #pragma reads vec4 past    // [H, W] rgb, flags
-#pragma writes vec4 cells  // [⌈H/AROUND_CELL⌉, ⌈W/AROUND_CELL⌉] frames, history, 0, 0
+#pragma reads float level  // [3] ·, ·, how much the noisy frame's word counts
+#pragma writes vec4 cells  // [⌈H/AROUND_CELL⌉, ⌈W/AROUND_CELL⌉] frames, history, that word (for `mix`), 0
 
 shared vec2 partial[GROUP_X * GROUP_Y];
 
@@ -18,5 +19,5 @@ void main() {
         barrier();
         if (lane < step) partial[lane] = max(partial[lane], partial[lane + step]);
     }
-    if (lane == 0) cells[at(ivec2(gl_WorkGroupID.xy), cells_of(size))] = vec4(partial[0], 0.0, 0.0);
+    if (lane == 0) cells[at(ivec2(gl_WorkGroupID.xy), cells_of(size))] = vec4(partial[0], level[2], 0.0);
 }

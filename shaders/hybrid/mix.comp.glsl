@@ -54,6 +54,7 @@ void main() {
     float telling = held + (1.0 - held) * (1.0 - around.y), scale = statistics[0];
     if (NEEDS_HISTORY == 1) trust *= clamp(around.x - 1.0, 0.0, 1.0);
     float share = mix(clamp(told_share, LEAST, USUAL), told_share, telling);
+    share = mix(USUAL, share, cells[at(pixel / AROUND_CELL, cells_of(size))].z);  // as far as its word counts
     vec3 kernels = compressed(scale * max(denoised[i].rgb, 0.0)), light = compressed(scale * written[i].rgb);
     if (telling < MIX_TELLS) kernels = light + clamp(kernels - light, -MIX_UNCOVERED, MIX_UNCOVERED);  // just uncovered
     light = mix(light, kernels, trust * share * written[i].w);

@@ -10,7 +10,7 @@ typedef struct {
     const float *before;  // [3, H, W], or NULL
     const float *trust, *held, *tells, *depth;  // [H, W]; the last three likewise
     float *out;           // [3, H, W]
-    float share, least;
+    float share, least, word;
 } Job;
 
 // No share of the first where neither a pixel of row y nor one around it hit anything.
@@ -25,13 +25,14 @@ static inline void leave_the_sky(Job j, int y, float *share) {
     for (int x = 0; x < W; x++) share[x] = MAX(MAX(greatest[x], greatest[x + 1]), greatest[x + 2]) > 0 ? share[x] : 0;
 }
 
-// What the frame tells of the pixels of row y, where it tells of others within the usual; `space` has SUMS · columns values.
+// What the frame tells of the pixels of row y, where it tells of others within the usual, as far as its word counts; `space` has
+// SUMS · columns values.
 static inline void bounded(Job j, int y, float *space, float *share) {
     const float *tells = j.tells + (int64_t)y * j.sums.W;
     told(j.sums, y, space, share);
 #pragma omp simd
     for (int x = 0; x < j.sums.W; x++)
-        share[x] = lerp(MIN(MAX(share[x], j.least), j.sums.usual), share[x], tells[x]);
+        share[x] = lerp(j.sums.usual, lerp(MIN(MAX(share[x], j.least), j.sums.usual), share[x], tells[x]), j.word);
 }
 
 // A row of one colour; `share` of the first picture in each pixel.
@@ -53,11 +54,11 @@ static inline void colour(Job j, int64_t row, int c, const float *share) {
     }
 }
 
-// first, other, before, noisy, out [B, 3, H, W], trust, held, tells, depth [B, 1, H, W], scale [B]; depth may be NULL. cells
-// and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
+// first, other, before, noisy, out [B, 3, H, W], trust, held, tells, depth [B, 1, H, W], scale, word [B]; depth and word may be
+// NULL. cells and around have rows · columns · SUMS values, `space` (SUMS + 1) · W for each of `threads` threads.
 void mix(const float *first, const float *other, const float *scale, const float *trust, const float *before, const float *held,
-         const float *noisy, const float *tells, const float *depth, float *cells, float *around, float *space, float *out, int B,
-         int H, int W, float usual, float share, float least, int threads) {
+         const float *noisy, const float *tells, const float *depth, const float *word, float *cells, float *around,
+         float *space, float *out, int B, int H, int W, float usual, float share, float least, int threads) {
     int64_t plane = (int64_t)H * W;
     int rows = (H + CELL - 1) / CELL, columns = (W + CELL - 1) / CELL;
     for (int b = 0; b < B; b++) {
@@ -65,8 +66,9 @@ void mix(const float *first, const float *other, const float *scale, const float
         Told sums = {first + 3 * at, other + 3 * at, NOISY ? noisy + 3 * at : NULL, cells, around, scale[b], usual, plane,
                      H, W, rows, columns};
         Job j = {sums, BEFORE ? before + 3 * at : NULL, trust + at, BEFORE ? held + at : NULL, NOISY ? tells + at : NULL,
-                 depth ? depth + at : NULL, out + 3 * at, share, least};
-        for (int step = NOISY ? 0 : 2; step < 3; step++) {
+                 depth ? depth + at : NULL, out + 3 * at, share, least, word ? word[b] : 1};
+        int heard = NOISY && j.word > 0;
+        for (int step = heard ? 0 : 2; step < 3; step++) {
             int count = step < 2 ? rows : H;
 #pragma omp parallel for num_threads(threads) schedule(static)
             for (int t = 0; t < threads; t++) {
@@ -76,7 +78,7 @@ void mix(const float *first, const float *other, const float *scale, const float
                     if (step == 1) smooth(sums, i);
                     if (step < 2) continue;
                     for (int x = 0; x < W; x++) shares[x] = usual;
-                    if (NOISY) bounded(j, i, own, shares);
+                    if (heard) bounded(j, i, own, shares);
                     if (depth) leave_the_sky(j, i, shares);
                     for (int c = 0; c < 3; c++) colour(j, (int64_t)i * W, c, shares);
                 }

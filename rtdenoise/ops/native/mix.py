@@ -25,9 +25,11 @@ def mix(
     noisy: Tensor | None,
     tells: Tensor | None,
     depth: Tensor | None,
+    word: Tensor | None,
 ) -> Tensor:
     B, _, H, W = first.shape
-    images = first, other, scale.expand(B, 1, 1, 1), trust, before, held, noisy, tells, depth
+    word = None if word is None else word.float().expand(B, 1, 1, 1)
+    images = first, other, scale.expand(B, 1, 1, 1), trust, before, held, noisy, tells, depth, word
     images = [x if x is None else x.contiguous() for x in images]
     threads = torch.get_num_threads()
     cells = first.new_empty(2, -(-H // MIX_CELL), SUMS, -(-W // MIX_CELL))

@@ -70,9 +70,9 @@ def _between_cells(told, low_i, low_j, f, g, h, w, exists):
 
 
 @triton.jit
-def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W, usual, share_before, lowest, smallest,
-         far, telling_enough, uncovered, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr,
-         CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
+def _mix(first, other, scale, trust, before, held, told, tells, depth, word, out, H, W, usual, share_before, lowest,
+         smallest, far, telling_enough, uncovered, BEFORE: tl.constexpr, TOLD: tl.constexpr, SKY: tl.constexpr,
+         WORD: tl.constexpr, CELL: tl.constexpr, BLOCK: tl.constexpr):  # fmt: skip
     b, y, x, exists = place(H, W, BLOCK)
     plane = tl.cast(H, tl.int64) * W
     at, s = y * W + x, tl.load(scale + b)
@@ -91,7 +91,8 @@ def _mix(first, other, scale, trust, before, held, told, tells, depth, out, H, W
         found = tl.minimum(tl.maximum((usual * noise + along) / (noise + square), 0.0), 1.0)
         bounded = tl.minimum(tl.maximum(found, lowest), usual)
         telling = tl.load(tells + b * plane + at, mask=exists, other=0.0)
-        share = bounded + telling * (found - bounded)
+        found = bounded + telling * (found - bounded)
+        share += (found - share) * (tl.load(word + b) if WORD else 1.0)
         most = tl.where(telling < telling_enough, uncovered, most)
     if SKY:
         greatest = tl.zeros([BLOCK], tl.float32)
@@ -125,6 +126,7 @@ def mix(
     noisy: Tensor | None,
     tells: Tensor | None,
     depth: Tensor | None,
+    word: Tensor | None,
 ) -> Tensor:
     first, other, trust = first.contiguous(), other.contiguous(), trust.contiguous()
     B, _, H, W = first.shape
@@ -136,10 +138,12 @@ def mix(
         told, limits = first.new_empty(B, 3, h, w), (shares[0], MIX_DARK, MIX_LARGEST)
         _told[grid(B, h, w)](first, other, noisy.contiguous(), scale, told, H, W, *limits, CELL=MIX_CELL, BLOCK=BLOCK)
     out = torch.empty_like(first)
-    constants = {"BEFORE": before is not first, "TOLD": noisy is not None, "SKY": depth is not None, "CELL": MIX_CELL}
+    constants = {"BEFORE": before is not first, "TOLD": noisy is not None, "SKY": depth is not None}
+    constants |= {"WORD": word is not None, "CELL": MIX_CELL}
     tells, depth = (trust if x is None else x.contiguous() for x in (tells, depth))
+    word = scale if word is None else of_images(word.float(), B)
     _mix[grid(B, H, W)](
-        first, other, scale, trust, before, held, told, tells, depth, out, H, W, *shares, MIX_NOISE, MIX_FAR,
+        first, other, scale, trust, before, held, told, tells, depth, word, out, H, W, *shares, MIX_NOISE, MIX_FAR,
         MIX_TELLS, MIX_UNCOVERED, BLOCK=BLOCK, **constants,
     )  # fmt: skip
     return out
