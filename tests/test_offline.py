@@ -509,6 +509,22 @@ def test_pictures_beside_are_found_from_a_camera_that_goes_ahead(model, side):
     assert (found < radiance + 0.2).all()
 
 
+@pytest.mark.parametrize("side", [0, 2])
+def test_what_comes_before_a_surface_leaves_no_outline(model, side):
+    """In the picture beside, its edge is read with what is behind it."""
+    torch.manual_seed(0)
+    radiance = torch.distributions.Exponential(1.0).sample((1, 3, 24, 32))
+    one, motion = torch.ones(1, 1, 24, 32), torch.zeros(1, 2, 24, 32)
+    motion[:, 0] = -3.3
+    wall = {"normal": torch.cat([0 * one, 0 * one, -one], dim=1), "motion": motion, "motion_next": motion}
+    depth = torch.where(torch.arange(32) < 18, 9 * one, 4 * one)
+    frames = [replace(grey(radiance), depth=depth if i == side else 9 * one, **wall) for i in range(3)]
+    beside = Beside(frames[side], torch.where(depth < 9, 3.0, torch.ones_like(radiance)))
+    sides = [beside if i == side else None for i in (0, 2)]
+    found = Passes(model, "cpu").settle(frames[1], Combined(torch.ones_like(radiance), one, one, one), *sides)
+    torch.testing.assert_close(found, torch.ones_like(radiance), atol=1e-3, rtol=0)
+
+
 def test_what_waits_survives_the_disk(tmp_path):
     given = Combined(*(torch.rand(1, channels, 4, 6) for channels in (3, 1, 1, 1)))
     write_combined(tmp_path / "c.safetensors", given)

@@ -81,6 +81,28 @@ def test_a_frame_without_noise_tells_that_light_has_moved():
     assert clean < 0.1 * noisy
 
 
+def test_what_comes_before_a_surface_leaves_no_outline():
+    """Its edge is read with what is behind it, and that is where it had not been."""
+    first, _, noisy = wall()
+    coming, motion = torch.zeros(1, 1, *SIZE, dtype=torch.bool), torch.zeros(1, 2, *SIZE)
+    coming[..., 30:], motion[:, 0] = True, -3.3
+    depth = torch.full((1, 1, *SIZE), 4.0)
+    following = torch.where(coming, 3.0, torch.ones_like(first))
+    found = settled(
+        left(torch.ones_like(first), noisy, motion_next=motion), left(following, depth=depth.where(~coming, 2.0))
+    )
+    torch.testing.assert_close(found, torch.ones_like(first), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.7])
+def test_pictures_settle_at_edges_that_stay(speed):
+    first, second, noisy = wall()
+    motion, near = torch.zeros(1, 2, *SIZE), torch.full((1, 1, *SIZE), 4.0)
+    motion[:, 0], near[..., 30:] = speed, 2.0
+    found = settled(left(first, noisy, depth=near, motion_next=motion), left(second, depth=near))
+    assert (found != first).all(1)[..., 2:-2, 2:-2].all()
+
+
 def test_greater_differences_count_no_more():
     first = torch.ones(1, 3, *SIZE)
     same = torch.ones(1, 1, *SIZE)

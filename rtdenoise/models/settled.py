@@ -7,12 +7,17 @@ their mixture is closer to the truth than either, most where something was just 
 
 from __future__ import annotations
 
-from torch import Tensor
+from functools import reduce
 
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..constants import DEPTH_TOLERANCE
 from ..exposure import exposure
 from ..frame import History
-from ..ops import reproject, warp
-from ..ops.kept import nearer
+from ..ops import fetch, reproject, warp
+from ..ops.kept import distance, nearer
 from ..ops.settle import settle
 
 
@@ -22,12 +27,31 @@ def settled(after: History, following: History, ahead: Tensor | float = 0.0) -> 
     a whole, both of frames that were divided by that. `ahead`: how far the camera has gone ahead between the two
     (`history.advance`).
 
-    The next picture counts where it trusts what it knows of this one: the same surface, in light that has not changed.
+    The next picture counts where it trusts what it knows of this one: the same surface, in light that has not changed,
+    and nothing that comes before it (`approached`).
     """
     here = nearer(after.depth, ahead), after.normal
     there, motion = (following.depth, following.normal), after.motion_next
     alike, _ = reproject(following.trusted, motion, here, there)
+    alike = alike * ~approached(here[0], there[0], motion)
     return mixed(after.radiance, after.noisy, following.radiance, motion, alike, after.trusted)
+
+
+def approached(depth: Tensor, beside: Tensor, motion: Tensor) -> Tensor:
+    """Pixels that something nearer has come to in a frame `beside` theirs in time, to which `motion` leads: it is among
+    the 4 × 4 pixels that a picture is looked up in there (`ops.warp`), and not among 5 × 5 here, `[B, 1, H, W]` bool. A
+    picture shows it in pixels of what is behind, too, and would leave its outline there."""
+    here, there = _least(distance(depth), 2, 2), _least(distance(beside), 1, 2)
+    return fetch(there, motion.floor()) < (1 - DEPTH_TOLERANCE) * here
+
+
+def _least(image: Tensor, before: int, after: int) -> Tensor:
+    """The least of each pixel, so many before and so many after it, across and down. Borders are repeated."""
+    image = F.pad(image, (before, after, before, after), mode="replicate")
+    for dim in (2, 3):  # torch's own pooling is not vectorised on a CPU
+        size = image.shape[dim] - before - after
+        image = reduce(torch.minimum, (image.narrow(dim, i, size) for i in range(1 + before + after)))
+    return image
 
 
 def mixed(image: Tensor, noisy: Tensor, beside: Tensor, motion: Tensor, alike: Tensor, trusted: Tensor) -> Tensor:

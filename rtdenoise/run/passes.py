@@ -30,7 +30,7 @@ from ..frame import Frame, History, reverse
 from ..history import advanced
 from ..models.accumulated_kpn import AccumulatedKPN
 from ..models.hybrid import Hybrid
-from ..models.settled import mixed
+from ..models.settled import approached, mixed
 from ..models.window import box
 from ..ops import reproject
 from ..ops.even_sky import even_sky
@@ -103,10 +103,12 @@ class Passes:
         if after is not None:
             surface = nearer(frame.depth, advanced(after.frame, frame)), frame.normal
             _, same = reproject(own.after, frame.motion_next, surface, (after.frame.depth, after.frame.normal))
+            same = same & ~approached(surface[0], after.frame.depth, frame.motion_next)
             image = mixed(image, frame.radiance, after.image, frame.motion_next, same * own.after, own.before)
         if before is not None:
             there = nearer(before.frame.depth, advanced(frame, before.frame)), before.frame.normal
             _, same = reproject(own.before, frame.motion, here, there)
+            same = same & ~approached(here[0], there[0], frame.motion)
             image = mixed(image, frame.radiance, before.image, frame.motion, same * own.before, own.after)
         return image
 
