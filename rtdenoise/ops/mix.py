@@ -65,7 +65,7 @@ def mix(
         kernels = torch.where(tells < MIX_TELLS, near, kernels)
         told = share_told(noisy, first, other, scale, share)
         share = torch.lerp(told.clamp(shares[2], share), told, tells)
-        share = share if word is None else torch.lerp(share.new_tensor(shares[0]), share, word)
+        share = share if word is None else torch.lerp(torch.full_like(share, shares[0]), share, word)
     if depth is not None:
         share = share * (F.max_pool2d(depth, 3, stride=1, padding=1) > 0)
     mixed = torch.lerp(written, kernels, trust * share)
