@@ -34,7 +34,7 @@ RECALL_MISPLACED_MORE = 0.2  # likewise with `Frame.more_history`
 RESET_MORE = 0.5  # share of the network's reset that counts for footprints of many samples, likewise
 
 # Surfaces that are hit here and there, as they are out of focus (`ops.scattered`).
-SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most show its surface
+SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most show its surface, as lone as it
 SCATTERED_REACH = 3  # pixels along either axis around a lone sample, in which its surface may be seen
 SCATTERED_APART = 1.6  # times the nearest of these: where the farthest is more, what lies between passes unnoticed
 

@@ -64,6 +64,15 @@ def test_what_has_neighbours_is_not_alone(choice):
     assert reach(depth) == ([], [])
 
 
+def test_the_end_of_a_line_is_not_alone(choice):
+    """One sample, or two side by side, are; a spark of three and more would leave a trail where it was."""
+    for length, there in ((1, 7), (2, 8), (3, 0), (9, 0)):
+        depth = wall()
+        for i in range(length):
+            depth[..., 20 + i // 2, 30 + i] = NEAR
+        assert len(reach(depth)[1]) == there
+
+
 def test_compiled_code_is_the_formula():
     torch.manual_seed(0)
     for size in ((1, 1), (1, 2), (2, 1), (3, 5), (8, 7), (21, 38), (50, 300)):

@@ -24,8 +24,9 @@ def scattered(depth: Tensor) -> Tensor:  # [B, 1, H, W], 0 where nothing was hit
 
     They are the extremes of lone samples within SCATTERED_REACH pixels along either axis, by DEPTH_TOLERANCE less and
     more. A sample is alone that hit something, and whose depth is that of SCATTERED_ALIKE of the eight pixels around it
-    at most, by DEPTH_TOLERANCE; a border is repeated. There is none where the farthest is SCATTERED_APART times as far
-    as the nearest: an object that passed between them would leave a trail.
+    at most, by DEPTH_TOLERANCE, and they are no more crowded: else it is the end of a line, as a spark, that would
+    leave a trail. A border is repeated. There is none where the farthest is SCATTERED_APART times as far as the
+    nearest: an object that passed between them would leave a trail, too.
 
     Raises ValueError where the shape does not fit. No gradients.
     """
@@ -33,13 +34,8 @@ def scattered(depth: Tensor) -> Tensor:  # [B, 1, H, W], 0 where nothing was hit
         raise ValueError(f"expected depth [B, 1, H, W], got {tuple(depth.shape)}")
     if run := FUSED(depth=depth):
         return run(depth)
-    H, W = depth.shape[2:]
-    padded = F.pad(depth, (1, 1, 1, 1), mode="replicate")
-    alike = torch.zeros_like(depth)
-    for k in (0, 1, 2, 3, 5, 6, 7, 8):
-        other = padded[..., k // 3 : k // 3 + H, k % 3 : k % 3 + W]
-        alike += (other - depth).abs() <= DEPTH_TOLERANCE * torch.maximum(other, depth)
-    alone = (alike <= SCATTERED_ALIKE) & (depth > 0)
+    crowded = _alike_around(depth, depth) > SCATTERED_ALIKE
+    alone = ~crowded & (_alike_around(depth, depth.masked_fill(~crowded, -1)) == 0) & (depth > 0)
     nearest, farthest = (
         F.max_pool2d(torch.where(alone, sign * depth, nothing), 2 * SCATTERED_REACH + 1, 1, SCATTERED_REACH)
         for sign, nothing in ((-1, -torch.inf), (1, 0.0))
@@ -48,3 +44,13 @@ def scattered(depth: Tensor) -> Tensor:  # [B, 1, H, W], 0 where nothing was hit
     some &= farthest > 0
     least, greatest = (1 - DEPTH_TOLERANCE) * -nearest, farthest / (1 - DEPTH_TOLERANCE)
     return torch.cat([torch.where(some, least, 1.0), torch.where(some, greatest, 0.0)], dim=1)
+
+
+def _alike_around(depth: Tensor, others: Tensor) -> Tensor:
+    """How many of the eight pixels around each have its depth in `others`, `[B, 1, H, W]`."""
+    H, W = depth.shape[2:]
+    padded, alike = F.pad(others, (1, 1, 1, 1), mode="replicate"), torch.zeros_like(depth)
+    for k in (0, 1, 2, 3, 5, 6, 7, 8):
+        other = padded[..., k // 3 : k // 3 + H, k % 3 : k % 3 + W]
+        alike += (other - depth).abs() <= DEPTH_TOLERANCE * torch.maximum(other, depth)
+    return alike

@@ -4,29 +4,44 @@
 
 static inline int near(float depth, float other) { return fabsf(depth - other) <= (float)TOLERANCE * MAX(depth, other); }
 
-// The least and the greatest depth of lone samples within REACH columns of each pixel of row y.
-static inline void of_row(const float *depth, float *least, float *greatest, int y, int H, int W) {
-    const float *here = depth + (int64_t)y * W, *above = y > 0 ? here - W : here, *below = y + 1 < H ? here + W : here;
-    float low[W + 2 * REACH], high[W + 2 * REACH];  // of each pixel, with a border of none
-    for (int i = 0; i < REACH; i++) low[i] = low[REACH + W + i] = INFINITY, high[i] = high[REACH + W + i] = 0;
+// How many of the eight pixels around each of row y have its depth in `others`.
+static inline void alike_around(const float *depth, const float *others, int *count, int y, int H, int W) {
+    const float *row = depth + (int64_t)y * W, *here = others + (int64_t)y * W;
+    const float *above = y > 0 ? here - W : here, *below = y + 1 < H ? here + W : here;
     for (int x = 0; x < W; x += MAX(W - 1, 1)) {  // the borders, where columns are repeated
-        int count = 0;
+        count[x] = 0;
         for (int k = 0; k < 9; k++) {
-            const float *row = k < 3 ? above : k < 6 ? here : below;
-            count += k != 4 && near(here[x], row[MIN(MAX(x + k % 3 - 1, 0), W - 1)]);
+            const float *other = k < 3 ? above : k < 6 ? here : below;
+            count[x] += k != 4 && near(row[x], other[MIN(MAX(x + k % 3 - 1, 0), W - 1)]);
         }
-        int alone = (count <= ALIKE) & (here[x] > 0);
-        low[REACH + x] = alone ? here[x] : INFINITY;
-        high[REACH + x] = alone ? here[x] : 0;
     }
 #pragma omp simd
     for (int x = 1; x < W - 1; x++) {
-        float d = here[x];
-        int count = near(d, above[x - 1]) + near(d, above[x]) + near(d, above[x + 1]) + near(d, here[x - 1]) +
-                    near(d, here[x + 1]) + near(d, below[x - 1]) + near(d, below[x]) + near(d, below[x + 1]);
-        int alone = (count <= ALIKE) & (d > 0);
-        low[REACH + x] = alone ? d : INFINITY;
-        high[REACH + x] = alone ? d : 0;
+        float d = row[x];
+        count[x] = near(d, above[x - 1]) + near(d, above[x]) + near(d, above[x + 1]) + near(d, here[x - 1]) +
+                   near(d, here[x + 1]) + near(d, below[x - 1]) + near(d, below[x]) + near(d, below[x + 1]);
+    }
+}
+
+// The depths of row y that are those of more than ALIKE pixels around, -1 elsewhere.
+static inline void crowded_of_row(const float *depth, float *crowded, int y, int H, int W) {
+    int count[W];
+    alike_around(depth, depth, count, y, H, W);
+    for (int64_t x = 0, i = (int64_t)y * W; x < W; x++, i++) crowded[i] = count[x] > ALIKE ? depth[i] : -1;
+}
+
+// The least and the greatest depth of lone samples within REACH columns of each pixel of row y.
+static inline void of_row(const float *depth, const float *crowded, float *least, float *greatest, int y, int H, int W) {
+    const float *here = depth + (int64_t)y * W, *many = crowded + (int64_t)y * W;
+    float low[W + 2 * REACH], high[W + 2 * REACH];  // of each pixel, with a border of none
+    int count[W];
+    alike_around(depth, crowded, count, y, H, W);
+    for (int i = 0; i < REACH; i++) low[i] = low[REACH + W + i] = INFINITY, high[i] = high[REACH + W + i] = 0;
+#pragma omp simd
+    for (int x = 0; x < W; x++) {
+        int alone = (many[x] < 0) & (count[x] == 0) & (here[x] > 0);
+        low[REACH + x] = alone ? here[x] : INFINITY;
+        high[REACH + x] = alone ? here[x] : 0;
     }
 #pragma omp simd
     for (int x = 0; x < W; x++) {
@@ -36,16 +51,21 @@ static inline void of_row(const float *depth, float *least, float *greatest, int
     }
 }
 
-// depth [B, 1, H, W]; rows and out [B, 2, H, W]; all contiguous.
-void scattered(const float *depth, float *rows, float *out, int B, int H, int W, int threads) {
+// depth and crowded [B, 1, H, W]; rows and out [B, 2, H, W]; all contiguous.
+void scattered(const float *depth, float *crowded, float *rows, float *out, int B, int H, int W, int threads) {
     int64_t plane = (int64_t)H * W;
 #pragma omp parallel num_threads(threads)
     {
 #pragma omp for schedule(static)
         for (int line = 0; line < B * H; line++) {
+            int64_t b = line / H;
+            crowded_of_row(depth + b * plane, crowded + b * plane, line % H, H, W);
+        }
+#pragma omp for schedule(static)
+        for (int line = 0; line < B * H; line++) {
             int64_t b = line / H, y = line % H;
             float *row = rows + 2 * b * plane + y * W;
-            of_row(depth + b * plane, row, row + plane, y, H, W);
+            of_row(depth + b * plane, crowded + b * plane, row, row + plane, y, H, W);
         }
 #pragma omp for schedule(static)
         for (int line = 0; line < B * H; line++) {
