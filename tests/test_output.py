@@ -187,6 +187,26 @@ def test_what_the_header_says_of_the_picture_lives_on(placed, tmp_path, model, l
         assert header["compression"] == OpenEXR.ZIP_COMPRESSION
 
 
+@pytest.mark.parametrize("apart", [False, True], ids=["one part", "parts"])
+def test_cryptomatte_that_is_kept_says_what_it_is(tmp_path, model, apart):
+    """Compositors find its channels by these attributes alone."""
+    ids = np.random.default_rng(0).random((8, 8)).astype(np.float32)
+    picture, mattes = dict.fromkeys("RGB", ids), {}
+    about = {f"cryptomatte/{i}/{key}": f"{key} of {i}" for i in (1, 2) for key in ("conversion", "manifest")}
+    for i, name in enumerate(("View.CryptoObject", "View.CryptoAsset"), 1):
+        mattes |= {f"{name}00.{c}": ids for c in "rgba"}
+        about[f"cryptomatte/{i}/name"] = name
+    (tmp_path / "shot").mkdir()
+    parts = [OpenEXR.Part({}, picture, "color"), OpenEXR.Part(dict(about), mattes, "mattes")]
+    one = OpenEXR.File(dict(about), picture | mattes)
+    (OpenEXR.File(parts) if apart else one).write(str(tmp_path / "shot" / "f.0.exr"))
+    for keep, expected in (("all", "12"), ("CryptoObject00", "1"), ("View.CryptoAsset00", "2")):
+        denoise(str(tmp_path / "shot"), tmp_path / keep, Options(model=model, keep=(keep,)))
+        header = OpenEXR.File(str(tmp_path / keep / "f.0.exr")).header()
+        found = {name: value for name, value in header.items() if name.startswith("cryptomatte/")}
+        assert found == {name: value for name, value in about.items() if name.split("/")[1] in expected}
+
+
 @pytest.mark.parametrize(("options", "kept"), [
     ({}, True), ({"signal": "indirect"}, False), ({"signal": "indirect", "recombine": True}, True),
 ])  # fmt: skip

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,8 @@ import OpenEXR
 from ..constants import MAX_HALF
 from ..errors import InputError
 from ..files import open_regular, read_bytes, write_atomically
-from .exr_chunks import single_part, single_start
+from .exr_attributes import STRUCTURE, attributes_of, has_type
+from .exr_chunks import single_part
 from .exr_format import ExrHeader, Part
 from .exr_header import parse_file
 from .layers import LAYERS
@@ -35,13 +36,6 @@ START = 8  # bytes in front of the attributes: magic, version and flags
 DECODER_NEEDS = 3  # times the decoded pixels: the file, OpenEXR's buffers, the result
 
 GEOMETRY = {name: layer.components for name, layer in LAYERS.items() if layer.components != "RGB"}
-STRUCTURE = {  # attributes that the encoder makes itself; scan lines have no random order, as tiles may have
-    "channels", "chunkCount", "lineOrder", "name", "tiles", "type", "version",
-}  # fmt: skip
-OF_THE_FILE = STRUCTURE | {  # and those that say nothing of a picture made from it, or are in `ExrHeader.placing`
-    "compression", "dwaCompressionLevel", "multiView", "preview", "view",
-    "chromaticities", "dataWindow", "displayWindow", "pixelAspectRatio",
-}  # fmt: skip
 
 
 def read_header(path: str | os.PathLike) -> ExrHeader:
@@ -90,20 +84,13 @@ def read_channels(path: str | os.PathLike, names: Sequence[str], as_stored: bool
     return {name: pixels[name] for name in names}
 
 
-def read_attributes(path: str | os.PathLike) -> dict[str, object]:
+def read_attributes(path: str | os.PathLike, kept: Collection[str] = ()) -> dict[str, object]:
     """What the first part's header says of the picture besides `ExrHeader.placing`, for `write_layers`: colour space,
-    time, camera, comments. Without what belongs to other channels (Cryptomatte). Empty where OpenEXR cannot read it.
+    time, camera, comments; and what any part's says of Cryptomatte in the channels `kept` (full names). Without what
+    OpenEXR cannot read.
 
     Raises `InputError` as `read_header` does."""
-    start = io.BytesIO(single_start(read_header(path), 0))
-    try:
-        found = OpenEXR.File(start, header_only=True).header()
-    except (RuntimeError, ValueError, ArithmeticError):  # ArithmeticError: a rational over 0
-        return {}
-    return {
-        name: value for name, value in found.items()
-        if name not in OF_THE_FILE and not name.startswith("cryptomatte/") and _has_type(value)
-    }  # fmt: skip
+    return attributes_of(read_header(path), kept)
 
 
 def write_layers(
@@ -156,7 +143,7 @@ def write_like(
     for index, part in enumerate(header.parts):
         copy = _open(header.path, header, index)
         found = copy.header().items()
-        attributes = {name: value for name, value in found if name not in STRUCTURE and _has_type(value)}
+        attributes = {name: value for name, value in found if name not in STRUCTURE and has_type(value)}
         attributes |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
         stored = {name: channel.pixels for name, channel in copy.channels().items()}
         passed_on = {full: stored[name] for full, name in part.full_names.items() if full not in changed}
@@ -169,11 +156,6 @@ def write_like(
     OpenEXR.File(parts).write(encoded)
     write_atomically(Path(path), encoded.getbuffer())
     return nans
-
-
-def _has_type(value: object) -> bool:
-    """Whether OpenEXR's Python can write an attribute: of an empty list it does not know the type."""
-    return not isinstance(value, list) or bool(value)
 
 
 def _default_dtype(key: str) -> str:

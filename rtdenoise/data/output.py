@@ -14,7 +14,7 @@ needs none of those passes, and holds for scenes with further ones (volumes).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -138,10 +138,11 @@ def alpha_of(
     return {stored: coverage}
 
 
-def attributes_of(sequence: Sequence, index: int) -> dict[str, object]:
-    """The header attributes of a file that is made from a frame's, for `write_layers`."""
+def attributes_of(sequence: Sequence, index: int, kept: Collection[str] = ()) -> dict[str, object]:
+    """The header attributes of a file that is made from a frame's and holds the channels `kept` of it, for
+    `write_layers`."""
     path = sequence.paths[index]
-    return (read_attributes(path) if path.suffix.lower() == ".exr" else {}) | sequence.header.placing
+    return (read_attributes(path, kept) if path.suffix.lower() == ".exr" else {}) | sequence.header.placing
 
 
 def beyond_half(result: np.ndarray) -> bool:
@@ -173,7 +174,7 @@ def _write_plain(
     passed = [name for name in kept_channels(sequence, keep) if name not in made]  # the picture's alpha is made, too
     layers |= file.read(passed, as_stored=True)
     dtypes |= {name: sequence.header.channels[name] for name in passed}
-    write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index))
+    write_layers(path, layers, dtypes=dtypes, attributes=attributes_of(sequence, index, passed))
     return {
         name: bad
         for name, plane in layers.items()
