@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -184,6 +185,13 @@ def interrupt_at_four(config, monkeypatch):
         patch.setattr(Trainer, "train_step", interrupted)
         with pytest.raises(KeyboardInterrupt):
             train(config)
+
+
+def test_a_run_in_a_thread(config):
+    """As of a program with windows: signals are the main thread's."""
+    with ThreadPoolExecutor(1) as thread:
+        path = thread.submit(train, replace(config, steps=1)).result()
+    assert path.exists()
 
 
 @pytest.mark.parametrize("optimiser", ["adam", "muon"])

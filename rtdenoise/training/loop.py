@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -45,7 +46,7 @@ def train(config: TrainConfig, on_step: OnStep = lambda step, steps, loss: None)
     its share of every batch (`distributed`), and the first one alone calls `on_step`.
 
     Raises InputError for unusable data, changed options, or a folder that another run is using, and KeyboardInterrupt
-    after Ctrl-C or SIGTERM, once the checkpoint is written.
+    after Ctrl-C or SIGTERM, once the checkpoint is written. In a thread other than the main one it knows of neither.
     """
     check(config)
     with processes(config.device) as share:
@@ -155,8 +156,12 @@ def _steps(
 
 @contextmanager
 def _until_stopped() -> Iterator[list[int]]:
-    """A list to which Ctrl-C and SIGTERM add, instead of ending the process in the middle of a step."""
+    """A list to which Ctrl-C and SIGTERM add, instead of ending the process in the middle of a step. In a thread, to
+    which no signal comes, it stays empty."""
     stopping: list[int] = []
+    if threading.current_thread() is not threading.main_thread():  # where Python takes no handlers
+        yield stopping
+        return
     numbers = signal.SIGINT, signal.SIGTERM
     previous = {n: signal.signal(n, lambda number, _: stopping.append(number)) for n in numbers}
     try:
