@@ -4,7 +4,8 @@ python bench/hybrid.py SEQ ...    # sequences with references that no network wa
 
 Measures OIDN, `hybrid` and the networks beside it on every sequence and both signals: over the frame and in uncovered
 regions, with history and without (single frames); then the time of a step. Writes bench/results/hybrid.json and the
-tables of docs/notes/hybrid.md. An interrupted run continues.
+tables of docs/notes/hybrid.md. An interrupted run continues. With --keep-times errors alone are measured, and times
+stay those of the CPU that they were measured on.
 """
 
 from __future__ import annotations
@@ -56,11 +57,12 @@ SIZES = {"720p": (720, 1280)}  # that steps are timed at
 METRICS = ("psnr", "psnr_corrected", "flip", "tpsnr")
 
 
-def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
+def main(sequences: tyro.conf.Positional[tuple[str, ...]], keep_times: bool = False) -> None:
     """Measure.
 
     Args:
         sequences: Folders of EXR files with references.
+        keep_times: The times in the JSON file stay.
     """
     rows, plain = [], [method for method in METHODS if "int8" not in method]
     for signal in SIGNALS:
@@ -69,10 +71,15 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]]) -> None:
         for row in run(sequences, OUT / signal, options).results:
             errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
             rows.append({"signal": signal, "sequence": row["sequence"], "method": label(row), **errors})
+    times = harness.times_kept(RESULT) if keep_times else {"times": all_times()}
+    harness.publish(RESULT, {"rows": rows, **times}, digits=4, pages=PAGES, tables=tables)
+
+
+@torch.inference_mode()
+def all_times() -> list[dict]:
+    """Of every size and of each precision that the CPU has."""
     precisions = ("bf16", "fp32") if resolve("auto", "cpu") == torch.bfloat16 else ("fp32",)
-    with torch.inference_mode():
-        times = [times_of(size, precision) for size in SIZES for precision in precisions]
-    harness.publish(RESULT, {"rows": rows, "times": times}, digits=4, pages=PAGES, tables=tables)
+    return [times_of(size, precision) for size in SIZES for precision in precisions]
 
 
 def times_of(size: str, precision: str) -> dict:

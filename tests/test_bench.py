@@ -46,6 +46,15 @@ def test_every_script_with_tables_is_rewritten_by_tables():
         assert module.RESULT.is_file() and all(page.is_file() for page in module.PAGES)
 
 
+def test_times_that_are_kept_say_where_they_are_from(tmp_path):
+    path, times = tmp_path / "a.json", [{"size": "720p", "fast": 5.0}]
+    first = harness.publish(path, {"times": times}, devices={"torch": "another CPU"})
+    for _ in range(2):  # also when they are kept again
+        kept = harness.publish(path, {"rows": [1], **harness.times_kept(path)}, devices={"torch": "this CPU"})
+        assert kept["times"] == times and kept["devices"] == {"torch": "this CPU"}
+        assert kept["times_of"] == {fact: first[fact] for fact in ("date", "commit", "devices")}
+
+
 def test_a_script_runs_by_its_path_from_anywhere(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [sys.executable, ROOT / "bench" / "calibration" / "cuts.py", "--help"]

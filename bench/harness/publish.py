@@ -47,6 +47,13 @@ def read(path: Path) -> dict:
     return {key: unpack(value) for key, value in json.loads(path.read_text()).items()}
 
 
+def times_kept(path: Path) -> dict:
+    """The times in a document, and where they are from: for errors that are measured anew on another CPU."""
+    document = read(path)
+    origin = document.get("times_of") or {fact: document[fact] for fact in ("date", "commit", "devices")}
+    return {"times": document["times"], "times_of": origin}
+
+
 def laid_out(document: dict[str, object], digits: int | None = None) -> str:
     """JSON with a line for each value, and for each row of a list; the names of like rows stand once (columns.py)."""
 
