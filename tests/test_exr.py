@@ -177,6 +177,14 @@ def test_tiles_in_any_order_are_copied(tmp_path, order):
     assert np.array_equal(copied["X"], kept) and np.array_equal(copied["Y"], changed)
 
 
+def test_light_in_the_place_of_whole_numbers_is_not_rounded(tmp_path):
+    whole, light = np.arange(H * W, dtype=np.uint32).reshape(H, W), noise(H, W)
+    OpenEXR.File({}, {"R": whole, "id": whole}).write(str(tmp_path / "a.exr"))
+    write_like(tmp_path / "b.exr", tmp_path / "a.exr", {"R": light})
+    assert read_header(tmp_path / "b.exr").channels == {"R": "float", "id": "uint"}
+    assert np.array_equal(read_all(tmp_path / "b.exr")["R"], light)
+
+
 @pytest.mark.parametrize(("stored", "value"), [
     ("stringvector", b""), ("string", b"\xff"), ("mine", b"abc"), ("rational", struct.pack("<iI", 24, 0)),
 ])  # fmt: skip

@@ -130,7 +130,7 @@ def write_like(
     source: str | os.PathLike,
     changed: Mapping[str, np.ndarray],  # full channel name -> [H, W]
     *,
-    dtype: str | None = None,  # of the changed channels: "half" or "float"; None: as in the source
+    dtype: str | None = None,  # of the changed channels: "half" or "float"; None: as in the source, no whole numbers
 ) -> dict[str, int]:
     """Write a copy of `source` with other pixels in some of its channels. Returns the number of NaNs in each unchanged
     channel that has some, by full channel name.
@@ -150,7 +150,8 @@ def write_like(
         nans |= {full: count for full, plane in passed_on.items() if (count := int(np.isnan(plane).sum()))}
         for full in changed.keys() & part.full_names.keys():
             name = part.full_names[full]
-            stored[name] = _convert(changed[full], dtype or part.channels[name])
+            as_in_source = part.channels[name] if part.channels[name] != "uint" else "float"
+            stored[name] = _convert(changed[full], dtype or as_in_source)
         parts.append(OpenEXR.Part(attributes, stored, part.name))
     encoded = io.BytesIO()
     OpenEXR.File(parts).write(encoded)
