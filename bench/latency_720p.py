@@ -74,7 +74,7 @@ def main(o: Options) -> None:
     presets = o.presets or tuple(name for name, config in models.PRESETS.items() if not config.reads)
     with_shaders, gl = measurable(o.quick)
     with torch.inference_mode():
-        peaks = measured_peaks(device, calls)
+        peaks = measured_peaks(device, calls, o.quick)
         rows = [row for size in sizes for row in run(size, presets, device, calls, with_shaders, o.backends)]
         for size in () if o.quick else (size for size in o.scaling if size not in sizes):
             give_back()
@@ -182,11 +182,12 @@ def synchronise(device: str) -> None:
         torch.cuda.synchronize()
 
 
-def measured_peaks(device: str, calls: int) -> dict[str, float]:
-    """GB/s of a copy far larger than the caches of a core (read and written), and GFLOP/s of matrix products."""
-    source = torch.rand(32, 720, 1280, device=device)
+def measured_peaks(device: str, calls: int, quick: bool) -> dict[str, float]:
+    """GB/s of a copy far larger than the caches of a core (read and written), and GFLOP/s of matrix products; `quick`
+    takes small ones, which say little."""
+    source = torch.rand(1 if quick else 32, 720, 1280, device=device)
     target = torch.empty_like(source)
-    n = 1024 if device == "cpu" else 8192
+    n = 128 if quick else 1024 if device == "cpu" else 8192
     work = {"copy_gb_per_s": (lambda: target.copy_(source), 2 * source.numel() * 4)}
     for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16)):
         a, b = (torch.rand(n, n, device=device, dtype=dtype) for _ in range(2))
