@@ -88,6 +88,31 @@ def model(tmp_path_factory):
     return str(save_tiny(tmp_path_factory.mktemp("model")))
 
 
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    """`weights(config)`: a file of random weights whose kernels are far from even."""
+    from rtdenoise.models import create, save
+
+    folder, written = tmp_path_factory.mktemp("weights"), {}
+
+    def write(config):
+        key = config, str(config.shapes)  # which a test may make others
+        if key not in written:
+            torch.manual_seed(1)
+            denoiser = create(config)
+            for name, parameter in denoiser.named_parameters():
+                if name.startswith("full_head"):
+                    parameter.data.normal_()  # a fresh edge kernel is constant
+                elif "head" in name:
+                    parameter.data.mul_(3)
+                    parameter.data[config.kernel**2 + 1 :].normal_()  # and so is a pick kernel
+            written[key] = folder / f"{len(written)}.safetensors"
+            save(denoiser, written[key])
+        return str(written[key])
+
+    return write
+
+
 @pytest.fixture(autouse=True)
 def seed():
     random.seed(0)

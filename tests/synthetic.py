@@ -1,7 +1,7 @@
 """Small noisy sequences with known motion, as frames and as EXR files, without a renderer."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,12 @@ from rtdenoise.data.exr import write_layers
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
 from rtdenoise.models import create, save
-from rtdenoise.models.config import TemporalKPNConfig
+from rtdenoise.models.config import NetworkConfig, TemporalKPNConfig
+from rtdenoise.models.hybrid_config import HybridConfig, PixelShape
+from rtdenoise.models.weights import read_config
 from rtdenoise.run.denoise import denoise
 
+THIN = {"widths": (8, 12, 4, 8, 4), "down": (8, 12, 16, 8, 8), "up": (8, 16, 8, 12), "out": (8, 12, 16, 8)}
 TINY = TemporalKPNConfig(widths=(4, 4, 4, 4))  # a network that runs in no time
 
 
@@ -25,6 +28,26 @@ def save_tiny(folder: Path, config=TINY) -> Path:
     torch.manual_seed(0)
     save(create(config), path := folder / "tiny.safetensors")
     return path
+
+
+def thin(name: str) -> NetworkConfig:
+    """The configuration of a model that ships, with thin networks."""
+    config = read_config(name)
+    return replace(config, **{field.name: THIN[field.name] for field in fields(config) if field.name in THIN})
+
+
+def filter_thinly(monkeypatch) -> None:
+    """Networks whose pixels are written by a thin one filter albedo and normal by thin ones, too."""
+    whole = HybridConfig.surfaces.fget
+
+    def surfaces(config):
+        thin = config.down[0] < PixelShape.down[0]
+        return {
+            name: replace(shape, down=config.down, up=config.up, out=config.out) if thin else shape
+            for name, shape in whole(config).items()
+        }
+
+    monkeypatch.setattr(HybridConfig, "surfaces", property(surfaces))
 
 
 def message(function, *args, **kwargs) -> str:

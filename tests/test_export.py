@@ -13,8 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 from scripts import imported
+from synthetic import filter_thinly, thin
 
 from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
@@ -24,11 +24,10 @@ from rtdenoise.glsl import Pipeline
 from rtdenoise.glsl.export import export
 from rtdenoise.glsl.record import with_empty_frames
 from rtdenoise.glsl.sample import sample_frames
-from rtdenoise.models import PRESETS, CombinerConfig, create, save
+from rtdenoise.models import CombinerConfig, create, save
 
 PLAYER = Path(__file__).parent.parent / "examples" / "engines" / "player.py"
 SIZE = (19, 34)
-THIN = {"widths": (8, 12, 4, 8, 4), "down": (8, 12, 16, 8, 8), "up": (8, 16, 8, 12), "out": (8, 12, 16, 8)}
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +63,9 @@ def exported(tmp_path_factory):
     return out
 
 
-@pytest.fixture
-def thin(tmp_path):
-    """`thin(name)`: a preset, a hybrid with thin networks of random weights."""
-
-    def model(name):
-        if not name.startswith("hybrid"):
-            return name
-        torch.manual_seed(1)
-        save(create(replace(PRESETS[name], **THIN)), path := tmp_path / f"{name}.safetensors")
-        return str(path)
-
-    return model
+@pytest.fixture(autouse=True)
+def thin_filters(monkeypatch):
+    filter_thinly(monkeypatch)
 
 
 def document(folder):
@@ -95,23 +85,20 @@ def test_the_player_needs_no_rtdenoise_and_finds_every_pass_the_same(exported):
     "model, half, recent",
     [("paper", False, None), ("fast", True, 2), ("hybrid-fast", False, 0), ("hybrid-large", True, 1)],
 )
-def test_other_networks_and_float16(tmp_path, gl, player, thin, model, half, recent):
-    export(out := tmp_path / "out", thin(model), SIZE, half, recent)
+def test_other_networks_and_float16(tmp_path, gl, player, weights, model, half, recent):
+    export(out := tmp_path / "out", weights(thin(model)), SIZE, half, recent)
     assert player.check(player.Player(out, gl))
     kept = [name for name in document(out)["buffers"] if name.startswith("recent.")]
     assert len(kept) == (recent + 1 if recent else 0)  # the frames before, and this one
 
 
 @pytest.mark.parametrize("model", ["default", "hybrid-fast"])
-def test_the_player_denoises_other_frames_as_the_pipeline_does(exported, gl, player, thin, tmp_path, model):
+def test_the_player_denoises_other_frames_as_the_pipeline_does(gl, player, weights, tmp_path, model):
     """Ten of them: more than are kept; then a cut, and frames from before it must not be looked up. The disc stays on
     the screen and moves by parts of a pixel, so that paths along its edge (`ops.over`) find the wall, too. The pipeline
     looks up empty frames as well where there are fewer, as what is recorded does."""
-    if model != "default":
-        model, exported = thin(model), tmp_path / "out"
-        export(exported, model, SIZE)
-    played, history = player.Player(exported, gl), None
-    pipeline = Pipeline.load(model)
+    export(out := tmp_path / "out", model := weights(thin(model)), SIZE)
+    played, history, pipeline = player.Player(out, gl), None, Pipeline.load(model)
     for number, frame in enumerate(sample_frames(SIZE, 15, speed=(1.3, 0.3))[2:]):
         history = history if number != 10 else None
         layers = {name: array.tobytes() for name, array in frame.layers()}

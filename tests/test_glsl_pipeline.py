@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
-from synthetic import TINY, assert_goes_on, behind_glass, make_frames, write_sequence
+from synthetic import TINY, assert_goes_on, behind_glass, filter_thinly, make_frames, write_sequence
 
 from rtdenoise import glsl, models
 from rtdenoise.data.exr import read_channels
@@ -43,31 +43,15 @@ NETWORKS = SMALL | {"clean": replace(HYBRID, twice=True, clean=True)}  # what hi
 
 
 @pytest.fixture(autouse=True)
+def narrow_surfaces(monkeypatch):
+    """That the networks of `hybrid-large` are torch's is a test of its own."""
+    filter_thinly(monkeypatch)
+
+
+@pytest.fixture(autouse=True)
 def no_gl_error(gl):
     yield
     assert gl.error == "GL_NO_ERROR"
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    """`weights(config)`: a file of random weights whose kernels are far from even."""
-    folder, written = tmp_path_factory.mktemp("weights"), {}
-
-    def write(config):
-        if config not in written:
-            torch.manual_seed(1)
-            denoiser = models.create(config)
-            for name, parameter in denoiser.named_parameters():
-                if name.startswith("full_head"):
-                    parameter.data.normal_()  # a fresh edge kernel is constant
-                elif "head" in name:
-                    parameter.data.mul_(3)
-                    parameter.data[config.kernel**2 + 1 :].normal_()  # and so is a pick kernel
-            written[config] = folder / f"{len(written)}.safetensors"
-            models.save(denoiser, written[config])
-        return str(written[config])
-
-    return write
 
 
 def arrays(frame):
@@ -389,7 +373,8 @@ for model in sys.argv[1:]:
 """
 
 
-def test_it_runs_on_opengl_43(weights):
+def test_it_runs_on_opengl_43(monkeypatch, weights):
+    monkeypatch.undo()  # of which the other process knows nothing
     older = os.environ | {"MESA_GL_VERSION_OVERRIDE": "4.3", "MESA_GLSL_VERSION_OVERRIDE": "430"}
     command = [sys.executable, "-c", OPENGL_43, *(weights(config) for config in NETWORKS.values())]
     run = subprocess.run(command, env=older, capture_output=True, text=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from safetensors.torch import save_file
-from synthetic import TINY, make_frames
+from synthetic import TINY, make_frames, thin
 
 from rtdenoise import glsl, models
 from rtdenoise.constants import SHIFT_CELL
@@ -138,8 +138,9 @@ def test_recent_frames_go_ahead_when_they_are_read_anew():
 
 
 @pytest.mark.parametrize("name", ["default", "paper", "hybrid-fast"])
-def test_a_camera_that_goes_ahead_does_so_in_the_shaders(name, gl, assert_images_close):
-    network, pipeline = models.read(name), glsl.Pipeline.load(name)
+def test_a_camera_that_goes_ahead_does_so_in_the_shaders(name, gl, weights, assert_images_close):
+    path = weights(thin(name))
+    network, pipeline = models.read(path), glsl.Pipeline.load(path)
     frames, history, resident = [frame.map(lambda t: t[..., :37, :50].contiguous()) for frame in dolly(4)], None, None
     for frame in frames:
         arrays = frame.map(lambda t: t.numpy())

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import make_frames
+from synthetic import make_frames, thin
 
 from rtdenoise import Denoiser, glsl, models, ops
 from rtdenoise.constants import OUTDATED_CELL, OUTDATED_FRAMES, OUTDATED_RIM
@@ -241,8 +241,9 @@ def test_frames_ahead_agree_in_the_place_of_those_before():
     ids=["lamp", "shadow", "turning"],
 )
 @pytest.mark.parametrize("name", KINDS)
-def test_outdated_light_is_that_of_torch_in_the_shaders(name, shot, gl, assert_images_close):
-    network, pipeline = models.read(name), glsl.Pipeline.load(name)
+def test_outdated_light_is_that_of_torch_in_the_shaders(name, shot, gl, weights, assert_images_close):
+    path = weights(thin(name))
+    network, pipeline = models.read(path), glsl.Pipeline.load(path)
     history = resident = None
     for i, frame in enumerate(shot):
         frame = frame.map(lambda t: t[..., 8:56, 16:80].contiguous())  # three cells by four

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import make_frames, reset_of
+from synthetic import make_frames, reset_of, thin
 
 from rtdenoise import glsl, models, ops
 from rtdenoise.constants import RETEXTURED_LEAST, RETEXTURED_MOST
@@ -132,8 +132,9 @@ def test_frames_ahead_give_way_alike():
 @torch.inference_mode()
 @pytest.mark.parametrize("still", [False, True])
 @pytest.mark.parametrize("name", KINDS)
-def test_textures_that_move_are_those_of_torch_in_the_shaders(name, still, gl, assert_images_close):
-    network, pipeline = models.read(name), glsl.Pipeline.load(name)
+def test_textures_that_move_are_those_of_torch_in_the_shaders(name, still, gl, weights, assert_images_close):
+    path = weights(thin(name))
+    network, pipeline = models.read(path), glsl.Pipeline.load(path)
     history = resident = None
     for i, frame in enumerate(make_frames(3, H=21, W=38)):
         frame = replace(frame, albedo=(0.5 * frame.albedo + 0.5 * boards(5 * i, (21, 38))).contiguous())

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import make_frames
+from synthetic import make_frames, thin
 
 from rtdenoise import glsl, models, ops
 from rtdenoise.constants import DEPTH_TOLERANCE, SCATTERED_REACH
@@ -134,8 +134,9 @@ def test_no_two_frames_are_witnesses_of_what_is_out_of_focus():
 
 
 @torch.inference_mode()
-def test_the_shaders_do_so_too(gl, assert_images_close):
-    network, pipeline = models.read("hybrid-fast"), glsl.Pipeline.load("hybrid-fast")
+def test_the_shaders_do_so_too(gl, weights, assert_images_close):
+    path = weights(thin("hybrid-fast"))
+    network, pipeline = models.read(path), glsl.Pipeline.load(path)
     history = resident = None
     for i, frame in enumerate(make_frames(4, H=21, W=38)):
         lone = torch.rand(1, 1, 21, 38, generator=torch.Generator().manual_seed(i)) < 0.1

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import make_frames, reset_of
+from synthetic import make_frames, reset_of, thin
 
 from rtdenoise import glsl, models, ops
 from rtdenoise.constants import TURNED_ANGLE, TURNED_NOISE
@@ -123,8 +123,9 @@ def test_frames_ahead_give_way_alike():
 
 @torch.inference_mode()
 @pytest.mark.parametrize("name", KINDS)
-def test_frames_that_turn_are_those_of_torch_in_the_shaders(name, gl, assert_images_close):
-    network, pipeline = models.read(name), glsl.Pipeline.load(name)
+def test_frames_that_turn_are_those_of_torch_in_the_shaders(name, gl, weights, assert_images_close):
+    path = weights(thin(name))
+    network, pipeline = models.read(path), glsl.Pipeline.load(path)
     history = resident = None
     for i, frame in enumerate(make_frames(3, H=21, W=38)):
         frame = replace(frame, normal=facing(7.0 * i, (21, 38)))
