@@ -31,3 +31,24 @@ def gaussian(radius: int, deviation: float) -> np.ndarray:
     """Weights `[(2 radius + 1)²]` of the pixels of `around`, with a sum of 1; `deviation` in pixels."""
     one = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / deviation))
     return np.outer(one, one).ravel() / one.sum() ** 2
+
+
+def beside_each(place: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The indices `[8, N]` of the pixels around places `[N]`, indices of pixels of an image `[H, W]`, none of them at
+    its border."""
+    return place + np.array([[y * image.shape[1] + x] for y, x in EIGHT])
+
+
+def groups(place: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """A label `[N]` of each place, as in `beside_each`, the same in [0, N) for all that hang together."""
+    label = np.arange(len(place))
+    index = np.full(image.size, -1)
+    index[place] = label
+    beside = index.take(beside_each(place, image))
+    beside = np.where(beside < 0, label, beside)
+    while True:  # a label is the index of a place that hangs together with it, in the end the greatest
+        greatest = np.maximum(label, label[beside].max(0))
+        if np.array_equal(greatest, label):
+            return label
+        np.maximum.at(greatest, label, greatest.copy())
+        label = greatest[greatest]

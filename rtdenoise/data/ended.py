@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..frame import Frame
-from .around import EIGHT
+from .around import beside_each, groups
 from .virtual_depth import Seen
 
 DARK = 0.5  # times the albedo that is seen around: a dot is darker
@@ -37,27 +37,22 @@ def with_seen_albedo(
     # Indices of pixels in pictures with a border, where nothing is seen.
     place = np.flatnonzero(np.pad(near, 1))
     light, depth = np.pad(frame.albedo[0].sum(0), 1), np.pad(seen.depth, 1)
-    beside = place + _steps(through)
+    beside = beside_each(place, through)
     there = np.where(through.take(beside), light.take(beside), np.float32(0))
     own = light.take(place)
     maybe = (own > 0) & (own < DARK * np.fmax.reduce(there))
     place, own, there = place[maybe], own[maybe], there[:, maybe]
-    beside, its_depth = place + _steps(through), depth.take(place)
+    beside, its_depth = beside_each(place, through), depth.take(place)
     same = (there > 0) & np.isfinite(there) & (np.abs(depth.take(beside) - its_depth) < SAME_DEPTH * its_depth)
     dark = own < DARK * _median(there, same)
     place, same = place[dark], same[:, dark]
-    dots = (same.sum(0) >= LEAST) & (_touching(place, through) <= MOST)
+    dots = (same.sum(0) >= LEAST) & (_size(groups(place, through)) <= MOST)
     if not dots.any():
         return frame
     place, same, albedo = place[dots], same[:, dots], np.pad(frame.albedo[0], [(0, 0), (1, 1), (1, 1)])
     for plane in albedo.reshape(len(albedo), -1):
-        plane[place] = _median(plane.take(place + _steps(through)), same)
+        plane[place] = _median(plane.take(beside_each(place, through)), same)
     return replace(frame, albedo=np.ascontiguousarray(albedo[None, :, 1:-1, 1:-1]))
-
-
-def _steps(image: np.ndarray) -> np.ndarray:
-    """From the index of a pixel of an image to those of the eight around it, `[8, 1]`."""
-    return np.array([[y * image.shape[1] + x] for y, x in EIGHT])
 
 
 def _median(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -67,16 +62,6 @@ def _median(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return (ordered[each, (number - 1).clip(0) // 2] + ordered[each, number // 2 % 8]) / 2
 
 
-def _touching(place: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """How many of the places, indices of pixels of an image, hang together with each, itself among them: `[N]`."""
-    own = np.arange(len(place))
-    index = np.full(image.size, -1)
-    index[place] = own
-    beside = index.take(place + _steps(image))
-    beside, label = np.where(beside < 0, own, beside), own.copy()
-    while True:  # a label is the index of a place that hangs together with it, in the end the greatest
-        greatest = np.maximum(label, label[beside].max(0))
-        if np.array_equal(greatest, label):
-            return np.bincount(label, minlength=len(own))[label]
-        np.maximum.at(greatest, label, greatest.copy())
-        label = greatest[greatest]
+def _size(label: np.ndarray) -> np.ndarray:
+    """How many places have the label of each, `[N]`."""
+    return np.bincount(label, minlength=len(label))[label]

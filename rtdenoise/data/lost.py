@@ -1,8 +1,8 @@
 """Samples that are lost. numpy only.
 
-Where a path ends before it has met anything with a colour, as behind waves that are seen at a low angle, or within
-glass, Cycles writes black albedo for a surface that was hit: a dot here and there, by chance. Networks take it for
-texture, and leave the dots in the picture. What is seen is the mean of what all samples tell (docs/notes/lost.md).
+Where a path ends before it has met anything with a colour, as behind waves that are seen at a low angle, within glass,
+or between mirrors, Cycles writes black albedo for a surface that was hit: dots by chance. Networks take them for
+texture, and leave them in the picture. What is seen is what the other samples around tell (docs/notes/lost.md).
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..frame import Frame
-from .around import EIGHT, around, shifted
+from .around import EIGHT, around, beside_each, groups, shifted
 
-MOST = 1  # of the eight pixels around a lost one that are black, too: more are a black surface
+MOST = 20  # black pixels that hang together: more are a black surface, or a line
+LEAST_SINGLE = 1 / 3  # of the groups of so many that are one pixel, as dots by chance are; else
+FEW_TOGETHER = 2  # are the most
+ALIKE = 0.3  # relative: how near the mean a sample beside a lost one is that stays
 REACH = 2  # pixels over which albedo is averaged, along either axis
 SAME_DEPTH = 0.1  # relative
 CHUNK = 1 << 16  # pixels that are looked at together
@@ -24,22 +27,27 @@ FEW = 1 / 32  # share of the pixels up to which they are looked at one by one
 def with_lost_samples(
     frame: Frame,  # numpy arrays of one picture
 ) -> Frame:
-    """The frame with the mean of albedo over the 5×5 pixels around that show the same surface, where a sample was lost
-    and in the eight pixels around. The frame itself where none was."""
-    if (lost := lost_samples(frame)) is None:
+    """The frame with the mean of albedo over the 5×5 pixels around that show the same surface, without lost ones, where
+    a sample was lost, and in those of the eight pixels around that are unlike it: what they saw was chance, too. The
+    frame itself where none was."""
+    lost = lost_samples(frame)
+    if lost is None or not lost.any():
         return frame
     near = np.logical_or.reduce([lost, *shifted(lost, EIGHT, 1)]) & (frame.depth[0, 0] > 0)
-    return with_mean_albedo(frame, near)
+    return with_mean_albedo(frame, near, lost)
 
 
 @np.errstate(invalid="ignore")  # broken pixels are compared, and count for nothing
-def with_mean_albedo(frame: Frame, near: np.ndarray) -> Frame:
+def with_mean_albedo(frame: Frame, near: np.ndarray, lost: np.ndarray | None = None) -> Frame:
     """The frame with the mean of albedo over the 5×5 pixels around that show the same surface, in the pixels that are
-    `near`, `[H, W]` bool."""
+    `near`, `[H, W]` bool. Where some are `lost` they are not in the mean, and others that are `ALIKE` stay."""
     albedo, depth = frame.albedo[0], frame.depth[0, 0]
-    mean = _everywhere(albedo, depth) if near.mean() > FEW else _at_places(albedo, depth, near)
-    found = np.where(near & np.isfinite(mean).all(0), mean, albedo).astype(albedo.dtype)
-    return replace(frame, albedo=found[None])
+    counted = albedo if lost is None else np.where(lost, np.float32(np.nan), albedo)
+    mean = _everywhere(counted, depth) if near.mean() > FEW else _at_places(counted, depth, near)
+    changes = near & np.isfinite(mean).all(0)
+    if lost is not None:
+        changes &= lost | (np.abs(albedo - mean) > ALIKE * mean).any(0)
+    return replace(frame, albedo=np.where(changes, mean, albedo).astype(albedo.dtype)[None])
 
 
 def _at_places(albedo: np.ndarray, depth: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -76,6 +84,22 @@ def lost_samples(frame: Frame) -> np.ndarray | None:
     if len(frame.radiance) != 1 or frame.albedo is None or frame.depth is None:
         return None
     black = (frame.albedo[0] == 0).all(0) & (frame.depth[0, 0] > 0)
-    if not black.any():
-        return None
-    return black & (sum(beside.astype(np.int8) for beside in shifted(black, EIGHT, 1)) <= MOST)
+    return _small_groups(black) if black.any() else None
+
+
+def _small_groups(black: np.ndarray) -> np.ndarray:
+    """The black pixels `[H, W]` in groups that are small (MOST, LEAST_SINGLE), and hang together with no 3×3 black ones
+    at all."""
+    edged = np.pad(black, 2)
+    rows = edged[:-2] & edged[1:-1] & edged[2:]
+    solid = np.pad(rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:], 1)
+    solid = np.logical_or.reduce([solid, *shifted(solid, EIGHT, 1)])
+    place = np.flatnonzero(edged & ~solid)
+    label = groups(place, edged)
+    size = np.bincount(label, minlength=len(place))
+    size[label[solid.take(beside_each(place, edged)).any(0)]] = MOST + 1
+    single, small = (np.count_nonzero(size == 1), np.count_nonzero((size > 0) & (size <= MOST)))
+    most = MOST if single >= LEAST_SINGLE * small else FEW_TOGETHER
+    lost = np.zeros(edged.shape, bool)
+    lost.flat[place[size[label] <= most]] = True
+    return lost[2:-2, 2:-2]
