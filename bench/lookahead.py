@@ -4,8 +4,9 @@ python bench/lookahead.py SEQ ...    # sequences with references that no network
 
 Measures networks that look 1 to 8 frames ahead (`denoise --lookahead`) at 1 sample, both signals. Sequences are told
 apart by the folder that they lie in. Then the time of a step. Writes bench/results/lookahead.json, tables of
-docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues. With --keep-times errors
-alone are measured, and times stay those of the CPU that they were measured on.
+docs/notes/lookahead.md and strips in docs/images/lookahead. An interrupted run continues. Sets of which no
+sequence is named stay as they were. With --keep-times errors alone are measured, and times stay those of the CPU that
+they were measured on.
 """
 
 from __future__ import annotations
@@ -72,8 +73,10 @@ def main(sequences: tyro.conf.Positional[tuple[str, ...]], keep_times: bool = Fa
                 errors = {region: {m: row["errors"][region][m] for m in METRICS} for region in ("frame", "uncovered")}
                 about = {"set": where, "signal": signal, "sequence": row["sequence"], "method": label(row)}
                 rows.append(about | errors)
+    others, sets_of = harness.sets_kept(RESULT, sets)
     times = harness.times_kept(RESULT) if keep_times else {"times": [times_of(quickest())]}
-    harness.publish(RESULT, {"rows": rows, **times}, digits=4, pages=PAGES, tables=tables)
+    content = {"rows": rows + others, "sets_of": sets_of, **times}
+    harness.publish(RESULT, content, digits=4, pages=PAGES, tables=tables)
 
 
 def methods_of(where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

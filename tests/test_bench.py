@@ -55,6 +55,15 @@ def test_times_that_are_kept_say_where_they_are_from(tmp_path):
         assert kept["times_of"] == {fact: first[fact] for fact in ("date", "commit", "devices")}
 
 
+def test_sets_that_are_not_measured_anew_say_where_they_are_from(tmp_path):
+    path = tmp_path / "a.json"
+    first = harness.publish(path, {"rows": [{"set": "a", "n": 1}, {"set": "b", "n": 2}]}, devices={"torch": "X"})
+    for n in (3, 4):
+        rows, sets_of = harness.sets_kept(path, {"b"})
+        assert rows == [{"set": "a", "n": 1}] and sets_of["a"]["devices"] == first["devices"] == {"torch": "X"}
+        harness.publish(path, {"rows": [*rows, {"set": "b", "n": n}], "sets_of": sets_of}, devices={"torch": "Y"})
+
+
 def test_a_script_runs_by_its_path_from_anywhere(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [sys.executable, ROOT / "bench" / "calibration" / "cuts.py", "--help"]

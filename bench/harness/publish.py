@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -50,8 +50,19 @@ def read(path: Path) -> dict:
 def times_kept(path: Path) -> dict:
     """The times in a document, and where they are from: for errors that are measured anew on another CPU."""
     document = read(path)
-    origin = document.get("times_of") or {fact: document[fact] for fact in ("date", "commit", "devices")}
-    return {"times": document["times"], "times_of": origin}
+    return {"times": document["times"], "times_of": document.get("times_of") or _measured(document)}
+
+
+def sets_kept(path: Path, others: Collection[str]) -> tuple[list[dict], dict[str, dict]]:
+    """The rows of a document but for those of the sets `others`, measured anew; and where each set is from."""
+    document = read(path)
+    rows = [row for row in document["rows"] if row["set"] not in others]
+    known = document.get("sets_of", {})
+    return rows, {row["set"]: known.get(row["set"]) or _measured(document) for row in rows}
+
+
+def _measured(document: dict) -> dict:
+    return {fact: document[fact] for fact in ("date", "commit", "devices")}
 
 
 def laid_out(document: dict[str, object], digits: int | None = None) -> str:
