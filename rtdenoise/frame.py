@@ -212,6 +212,20 @@ class History:
             raise InputError(f"{found}: it is of another kind of model; pass history=None to start anew")
 
 
+def expect_history(history: object, kind: type = History) -> None:
+    """Raise TypeError unless `history` is what a `step` takes: of the class `kind` of its states, or None."""
+    if not (history is None or isinstance(history, kind)):
+        found = f"{type(history).__module__.partition('.')[0]}.{type(history).__name__}"
+        raise TypeError(f"step takes the history that the step of the frame before returned beside its image, or None, "
+                        f"got {found.removeprefix('builtins.')}")  # fmt: skip
+
+
+def image_of(history: History | None) -> Tensor | None:
+    """The image in a history, None without one. Raises TypeError for anything else."""
+    expect_history(history)
+    return None if history is None else history.radiance
+
+
 @dataclass(frozen=True)
 class Known:
     """Facts about a frame that a step need not find out itself. They are trusted, never checked; `run.plan` and

@@ -7,6 +7,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from rtdenoise.baselines.accumulate import Accumulate
+from rtdenoise.baselines.svgf import Svgf
 from rtdenoise.color import albedo_divisor
 from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame, geometry
@@ -211,6 +213,14 @@ def test_history_of_another_kind_of_model_is_refused(denoiser):
             denoiser.step(make_frame(), history)
 
 
+@pytest.mark.parametrize("kind", ["Tensor", "tuple", "Frame"])
+def test_what_is_no_history_is_refused(kind, denoiser):
+    state = {"Tensor": make_frame().radiance, "tuple": (1, 2), "Frame": make_frame()}[kind]
+    for step in (denoiser.step, Svgf().step, Accumulate().step):
+        with pytest.raises(TypeError, match=f"step takes the history that .*, or None, got .*{kind}"):
+            step(make_frame(), state)
+
+
 def test_weights_round_trip(tmp_path, denoiser):
     path = tmp_path / "small.safetensors"
     save(denoiser, path)
@@ -236,8 +246,14 @@ def test_an_override_that_is_none_is_named_and_not_the_file(tmp_path, denoiser):
 def test_a_device_may_be_chosen(opened, name, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert next(opened(name, "auto").parameters()).device.type == "cpu"
-    with pytest.raises(InputError, match="no CUDA device was found"):
-        opened(name, "cuda")
+    for device, message in (
+        ("cuda", "no CUDA device was found"),
+        ("cuda:1", "no CUDA device was found"),
+        ("x", "unknown device 'x'; expected 'auto', 'cpu', 'cuda' or another of torch's"),
+        ("xpu", "device xpu: PyTorch finds none here; take 'auto'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            opened(name, device)
 
 
 def test_combiners_are_named_where_one_is_missing():

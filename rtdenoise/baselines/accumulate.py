@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..frame import Frame, History
+from ..frame import Frame, History, image_of
 from ..motion import on_screen
 from ..ops import blend, fetch, warp
 from ..sanitise import sanitise
@@ -27,8 +27,8 @@ class Accumulate:
         """As `TemporalKPN.step`; features are not needed."""
         frame = sanitise(frame)
         output, length = frame.radiance, torch.ones_like(frame.radiance[:, :1])
-        if history is not None:
-            frame.require("motion", previous=history.radiance)
+        if (previous := image_of(history)) is not None:
+            frame.require("motion", previous=previous)
             length = torch.where(on_screen(frame.motion), fetch(history.length, frame.motion), 0.0) + 1
             warped = warp(history.radiance, frame.motion)
             if self.clamp is not None:

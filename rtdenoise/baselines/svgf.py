@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ..color import luminance
-from ..frame import Frame
+from ..frame import Frame, expect_history
 from ..motion import dual_motion, occlusion_mask, on_screen, same_surface
 from ..ops import blend, fetch
 from ..sanitise import admit
@@ -58,6 +58,7 @@ class Svgf:
         Raises InputError where albedo, normal, depth or (with history) motion is missing, or history is of another
         size.
         """
+        expect_history(history, SvgfState)
         frame = admit(frame, history and history.irradiance)
         kind = kind_of(frame)
         albedo = torch.where(kind == TEXTURED, frame.albedo.clamp(min=MIN_TEXTURED_ALBEDO), 1.0)

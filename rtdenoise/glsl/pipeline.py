@@ -21,7 +21,7 @@ import numpy as np
 
 from ..constants import RECALL_RESET
 from ..errors import InputError
-from ..frame import NOTHING_KNOWN, Frame, Known
+from ..frame import NOTHING_KNOWN, Frame, Known, expect_history
 from ..models.presets import AccumulatedKPNConfig, Config
 from ..models.weights import read_denoiser
 from .advance import Advance
@@ -235,12 +235,13 @@ class Pipeline:
     @_in_context
     def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads, for `run`. Raises InputError where one is missing, or history is of another
-        size or kind of model."""
+        size or kind of model, and TypeError where it is no history."""
         if not isinstance(frame, Frame):
             raise InputError(
                 f"step takes a rtdenoise.Frame of numpy arrays [1, C, H, W], got {type(frame).__name__}; "
                 "rtdenoise.Denoiser(backend='glsl') takes arrays [H, W, C]"
             )
+        expect_history(history, History)
         if len(frame.radiance) != 1:
             raise InputError(f"{frame.name or 'frame'}: expected one frame at a time, got {len(frame.radiance)}")
         needed = ("albedo", "normal", "depth", *(() if history is None else ("motion",)))

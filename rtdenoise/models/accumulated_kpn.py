@@ -25,7 +25,7 @@ from torch.nn import functional as F
 
 from ..constants import RECALL_SAME
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, Frame, History, Known, image_of
 from ..ops import apply_kernel, compose, downsample, pick, soften
 from ..ops.blend_history import blend_history
 from ..ops.even_sky import even_sky
@@ -119,9 +119,10 @@ class AccumulatedKPN(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
-        another size or is of another kind of model, or `frame` is no Frame of tensors.
+        another size or is of another kind of model, or `frame` is no Frame of tensors, and
+        TypeError where `history` is none.
         """
-        frame = admit(frame, history and history.radiance, known)
+        frame = admit(frame, image_of(history), known)
         output, after, _ = self.step_and_kernels(frame, history, replace(known, sanitised=True))
         if not known.part:
             after = followed(frame, history, after, self.config.recent + 1)
@@ -131,7 +132,7 @@ class AccumulatedKPN(nn.Module):
         self, frame: Frame, history: History | None = None, known: Known = NOTHING_KNOWN
     ) -> tuple[Tensor, History, Kernels]:
         """`step`, and the kernels that it applied, for layers beside the picture (`noiseless.step`)."""
-        frame = admit(frame, history and history.radiance, known)
+        frame = admit(frame, image_of(history), known)
         if history is not None:
             history.require(self.config.carries)
         known = shifted(frame, history, known)

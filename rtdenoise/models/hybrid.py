@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..constants import EVENED_NOISE, MIX_WORD_FROM, MIX_WORD_WHOLE
 from ..exposure import noise_level
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, Frame, History, Known, image_of
 from ..ops.around import greatest_around
 from ..ops.even_sky import even_sky
 from ..ops.evened import evened, held_and_tells
@@ -45,7 +45,7 @@ class Hybrid(AccumulatedKPN):
     ) -> tuple[Tensor, History, Kernels]:
         """As `AccumulatedKPN.step_and_kernels`; `step` is that, too. Training leaves the kernels, and what filters
         albedo and normal, as they are: no gradient reaches them."""
-        frame = admit(frame, history and history.radiance, known)
+        frame = admit(frame, image_of(history), known)
         if known.exposure is None:
             exposure, distance = self.statistics(frame)
             known = replace(known, exposure=exposure, distance=distance)

@@ -53,8 +53,9 @@ def load(
     `overrides` replace fields of the stored configuration that leave the weights' shapes alone, for example
     `motion="traditional"` for an ablation, or `footprint=True`: histories have `History.footprint` then.
 
-    Raises InputError for an unknown model or precision, CUDA without a GPU, a combiner, an unreadable file, an override
-    that is no field, weights that are not finite or do not fit their configuration, and a model that has none in bytes.
+    Raises InputError for an unknown model or precision, a device that is unknown or not there, a combiner, an
+    unreadable file, an override that is no field, weights that are not finite or do not fit their configuration, and a
+    model that has none in bytes.
     """
     (device, dtype), file = _placed(device, precision), read_denoiser(model, **overrides)
     with torch.device("cpu"):  # whatever torch's default device is
@@ -83,9 +84,24 @@ def _prepared(network: Hybrid, dtype: torch.dtype) -> Hybrid:
 
 def _placed(device: str | torch.device, precision: str) -> tuple[str | torch.device, torch.dtype]:
     """A device that is there, and the dtype of the network on it. Raises InputError where there is none."""
-    if device == "auto" or (device == "cuda" and precision != INT8):  # which `resolve` refuses, GPU or not
+    if device == "auto":
         device = choose_device(device)
+    try:
+        kind = torch.device(device).type
+    except (RuntimeError, TypeError):
+        raise InputError(f"unknown device {device!r}; expected 'auto', 'cpu', 'cuda' or another of torch's") from None
+    if kind == "cpu" or precision != INT8:  # which `resolve` refuses on others, there or not
+        _expect_there(device, kind)
     return device, resolve(precision, device)
+
+
+def _expect_there(device: str | torch.device, kind: str) -> None:
+    if kind == "cuda":
+        choose_device(kind)
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError):
+        raise InputError(f"device {device}: PyTorch finds none here; take 'auto'") from None
 
 
 def _into_bytes(network: Denoiser, path: Path, must: bool) -> None:

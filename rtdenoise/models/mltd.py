@@ -24,7 +24,7 @@ from torch.nn import functional as F
 
 from ..errors import InputError
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, Frame, History, Known, image_of
 from ..ops import apply_kernel, compose, downsample, reproject, warp
 from ..ops.even_sky import even_sky
 from ..ops.mean_distance import mean_distance
@@ -86,9 +86,9 @@ class RecurrentTransformer(nn.Module):
         `frame` needs radiance, albedo, normal, depth, the layers of `config.reads` and, unless `history` is None,
         motion (`rtdenoise.Frame` has shapes and units). `history=None` starts a sequence. Raises InputError where a
         layer is missing, the history has another size or is of another kind of model, or `frame` is no Frame of
-        tensors.
+        tensors, and TypeError where `history` is none.
         """
-        frame = admit(frame, history and history.radiance, known)
+        frame = admit(frame, image_of(history), known)
         if history is not None:
             history.require(self.config.carries)
         frame.require(*self.config.reads)

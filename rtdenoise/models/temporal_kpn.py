@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from ..color import compress
 from ..exposure import exposure
-from ..frame import NOTHING_KNOWN, Frame, History, Known
+from ..frame import NOTHING_KNOWN, Frame, History, Known, image_of
 from ..ops import apply_kernel, blend, compose, downsample, warp
 from ..ops.even_sky import even_sky
 from ..ops.mean_distance import mean_distance
@@ -59,9 +59,10 @@ class TemporalKPN(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
-        another size or is of another kind of model, or `frame` is no Frame of tensors. The paper, §4.
+        another size or is of another kind of model, or `frame` is no Frame of tensors, and
+        TypeError where `history` is none. The paper, §4.
         """
-        frame = admit(frame, history and history.radiance, known)
+        frame = admit(frame, image_of(history), known)
         if history is not None:
             history.require(self.config.carries)
 
