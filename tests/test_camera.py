@@ -122,6 +122,8 @@ def test_wrong_arguments_are_named():
         (lambda: screen_motion(position, camera, camera, ids=np.ones((2, 2))), r"ids: expected \(24, 40\) as position"),
         (lambda: pinhole_camera(camera, 60, SIZE, "maya"), "unknown camera convention 'maya'; expected one of mitsuba"),
         (lambda: screen_motion("x", camera, camera), "position: expected numbers, got str"),
+        (lambda: pinhole_camera(camera, "45", SIZE), "fov: expected numbers, got str"),
+        (lambda: pinhole_camera(camera, 45, ("24", "40")), "size: expected numbers, got tuple"),
         (lambda: screen_motion(position, flat[[0, 1, 2, 2]], camera), "camera: the matrix is singular or not finite"),
         (lambda: screen_motion(position, camera, camera * np.nan), "other: the matrix is singular or not finite"),
         (posed(camera[:3]), r"pose of object 1: expected a matrix \[4, 4\], got \(3, 4\)"),

@@ -272,7 +272,7 @@ def test_a_channel_that_a_buffers_file_lacks_is_named(tmp_path):
 def test_a_preset_file_for_one_file_with_all_layers(tmp_path):
     (tmp_path / "p.toml").write_text('more_history = true\n[color]\nchannels = ["a", "b", "c"]')
     write(tmp_path / "s" / "f.1.exr", buffers(0)["color"], "abc")
-    frame = open_sequence(tmp_path / "s", preset=str(tmp_path / "p.toml"))[0]
+    frame = open_sequence(tmp_path / "s", preset=tmp_path / "p.toml")[0]
     assert is_close(frame.radiance, buffers(0)["color"]) and frame.more_history
 
 

@@ -93,6 +93,7 @@ def test_only_needed_layers_are_read(tmp_path):
     assert {layer for layer, _ in open_sequence(folder)[0].layers()} == default
     more = open_sequence(folder, layers=["reference", "position"])[0]
     assert {layer for layer, _ in more.layers()} == {*default, "reference"}
+    assert open_sequence(folder, layers="reference")[0].reference is not None
     few = open_sequence(write_native(tmp_path / "t", range(1), without=("motion_next", "normal")))[0]
     assert few.motion_next is None and few.normal is None and few.motion is not None
 
@@ -245,6 +246,9 @@ def test_a_missing_signal(tmp_path):
     assert message(open_sequence, folder, layers=["normals"]).startswith(
         "unknown layer 'normals': known are radiance, "
     )
+    wrong = message(open_sequence, folder, preset=3)
+    assert wrong == "preset: expected the name of a layout or a .toml file, got int"
+    assert message(open_sequence, folder, layers="normals").startswith("unknown layer 'normals': known are radiance, ")
 
 
 def test_a_required_layer_that_is_missing_says_what_to_switch_on(tmp_path):

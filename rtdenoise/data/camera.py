@@ -35,11 +35,12 @@ def pinhole_camera(
     if convention not in AXES:
         raise InputError(f"unknown camera convention {convention!r}; expected one of {', '.join(AXES)}")
     height, width = _numbers("size", size, (2,))
+    angle = _numbers("fov", fov, ())
     if not min(height, width) >= 1:
         raise InputError(f"size: expected (H, W) of 1 or more, got {size}")
-    if not 0 < _numbers("fov", fov, ()) < 180:
+    if not 0 < angle < 180:
         raise InputError(f"fov: expected degrees between 0 and 180, got {fov}")
-    focal = width / 2 / np.tan(np.radians(fov) / 2)
+    focal = width / 2 / np.tan(np.radians(angle) / 2)
     intrinsic = np.array([[focal, 0, width / 2, 0], [0, focal, height / 2, 0], [0, 0, 1, 0]])
     to_camera = np.linalg.inv(_pose("to_world", to_world))
     return intrinsic @ np.diag([*AXES[convention], 1]) @ to_camera
@@ -172,11 +173,14 @@ def _expect_regular(name: str, matrix: np.ndarray, part: np.ndarray) -> None:
 
 
 def _numbers(name: str, array: np.ndarray, shape: tuple[int, ...] | None = None) -> np.ndarray:
-    """The array in float64. Raises InputError for what is none, or has another shape."""
+    """The array in float64. Raises InputError for what is none, text too, or has another shape."""
     try:
-        array = np.asarray(array, np.float64)
+        text = np.asarray(array).dtype.kind in "US"
+        array = array if text else np.asarray(array, np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: expected numbers, got {type(array).__name__}") from None
+        text = True
+    if text:
+        raise InputError(f"{name}: expected numbers, got {type(array).__name__}")
     if shape not in (None, array.shape):
         expected = f"{shape[0]} numbers" if shape else "one number"
         raise InputError(f"{name}: expected {expected}, got an array {array.shape}")

@@ -22,8 +22,10 @@ def open_sequence(
     path_or_glob: str | os.PathLike,  # a folder, a glob, or one file
     *,
     signal: str = "color",  # "color" or "indirect"
-    preset: str | Layout = "auto",  # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", .toml file
-    layers: Collection[str] | None = None,  # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them
+    # a name of `layouts.NAMES`, "cycles:<ViewLayer>", "noisebase:<samples>", or a .toml file
+    preset: str | os.PathLike | Layout = "auto",
+    # layers of `Frame` to read beside DEFAULT_LAYERS, where the files have them: several names, or one
+    layers: Collection[str] | str | None = None,
     allow_gaps: bool = False,  # accept missing frame numbers; `Sequence.gaps` lists them
 ) -> Sequence:
     """The EXR files of a folder, a glob or one name as a `Sequence` of `Frame`s: `[1, C, H, W]` float32 tensors.
@@ -36,8 +38,10 @@ def open_sequence(
     """
     if signal not in SIGNALS:
         raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")
+    layers = (layers,) if isinstance(layers, str) else layers
     if unknown := [layer for layer in layers or () if layer not in CHANNELS]:
         raise InputError(f"unknown layer '{unknown[0]}': known are {', '.join(CHANNELS)}")
+    preset = os.fspath(preset) if isinstance(preset, os.PathLike) else preset
     chosen = choose(preset, path_or_glob)
     if chosen is NOISEBASE:
         files = find_archives(path_or_glob, samples(preset), allow_gaps)

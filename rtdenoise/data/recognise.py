@@ -31,6 +31,8 @@ def choose(name: str | Layout, source: str | os.PathLike) -> Layout | None:
     """
     if isinstance(name, Layout):
         return name
+    if not isinstance(name, str):
+        raise InputError(f"preset: expected the name of a layout or a .toml file, got {type(name).__name__}")
     if name.partition(":")[0] == "cycles":
         return None
     if name.endswith(".toml"):
