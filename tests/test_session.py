@@ -405,7 +405,8 @@ def test_the_correction_needs_torch_and_shaders_refuse_it():
         rtdenoise.Denoiser("fast", backend="glsl", correct=True)
 
 
-@pytest.mark.parametrize(("correct", "samples"), [(False, 4), (True, -1), (True, 10**9), (True, "16"), (True, None)])
+@pytest.mark.parametrize(("correct", "samples"), [(False, 4), (True, -1), (True, 10**9), (True, "16"), (True, None),
+                                                  (True, 1.5), (True, True)])  # fmt: skip
 def test_samples_with_a_model_by_name_go_with_a_correction_and_are_a_number_of_samples(correct, samples):
     with pytest.raises(InputError, match="samples"):
         rtdenoise.Denoiser("fast", correct=correct, samples=samples)

@@ -228,8 +228,11 @@ def check_lookahead(frames: int | str, told: str = "--lookahead") -> None:
 
 def check_samples(samples: int, told: str = "--samples") -> None:
     """Raise InputError for a number of samples a pixel that no frame has; `told` names the option."""
-    if not (isinstance(samples, Real) and 0 <= samples <= MAX_SAMPLES):
+    number = isinstance(samples, Real) and not isinstance(samples, bool)
+    if not (number and 0 <= samples <= MAX_SAMPLES):
         raise InputError(f"{told}: expected 1 to {MAX_SAMPLES}, or 0 for unknown, got {samples!r}")
+    if samples != int(samples):
+        raise InputError(f"{told}: expected a whole number, got {samples!r}")
 
 
 def check(options: Options) -> None:
