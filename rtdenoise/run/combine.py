@@ -18,9 +18,9 @@ from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import lock, remove_unfinished
 from .choice import told_of_samples
-from .folder import prepare, write_summary
+from .folder import conclude, prepare
 from .lens_motion import with_lens_if_lacking
-from .options import SUMMARY, CombineOptions, Summary, check_samples, told_of_shutter
+from .options import CombineOptions, Summary, check_samples
 from .panorama import with_panorama
 from .surfaces import with_surfaces
 
@@ -70,7 +70,7 @@ def combine(
         check_second(source, second, estimates)
         check_pairs(source, second, "second")
     same = f"{estimates.paths[0]} is the same picture as {source.paths[0]}: name the denoised frames"
-    notes = [*joined, *found, *told_of_shutter(options), *([same] if repeats(source, estimates) else [])]
+    notes = [*joined, *found, *([same] if repeats(source, estimates) else [])]
     device = choose_device(options.device)
     combiner = load_combiner(options.model, device, options.precision)
     for one in (estimates, *([second] if second else [])):
@@ -82,8 +82,7 @@ def combine(
         notes += unread_options(options, combiner) + missing_layers(source, options, combiner)
         notes += told_of_samples(source, options.samples) if _by_evidence(combiner) else []
         summary = run.run(overwrite, notes)
-        summary.notes += [source.drifts.told] if options.lens else []
-        write_summary(out / SUMMARY, source, options, summary)
+        conclude(out, source, options, [], summary)
     return summary
 
 

@@ -25,12 +25,12 @@ from .backends import Backend, open_backend
 from .behind import Behind
 from .choice import open_chosen, told_of_samples
 from .coming import Reader
-from .folder import Written, are_finished, digest, prepare, refuse_foreign, refuse_other, told_of_output, write_summary
+from .folder import Written, are_finished, conclude, digest, prepare, refuse_foreign, refuse_other
 from .following import Following
 from .in_parts import in_parts
 from .lookahead import direct
 from .offline_picture import Picture
-from .options import AUTO, EXAMINED, SUMMARY, Options, Summary, add, check, of_output, told_of_shutter
+from .options import AUTO, EXAMINED, Options, Summary, add, check, of_output
 from .shadows import LEFT, find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, Due, finish_state, last_of_shot, read_state, save_state
@@ -108,10 +108,7 @@ def denoise(
         summary = _run(sequence, out, options, backend, read, write, overwrite, on_frame, picture)
         if picture:
             picture.remove(sequence)
-        notes += [*told_of_shutter(options), *told_of_output(sequence, options)]
-        lens = [sequence.drifts.told] if options.lens else []
-        summary.notes = list(dict.fromkeys([*notes, *summary.notes, *lens]))
-        write_summary(out / SUMMARY, sequence, options, summary)
+        conclude(out, sequence, options, notes, summary)
     return summary
 
 

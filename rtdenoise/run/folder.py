@@ -13,15 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..data.exr import read_header
-from ..data.output_files import protect_input
+from ..data.output_files import protect_input, replaced_channels
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, remove_unfinished, stamp, write_atomically
 from ..models.presets import SHRINKAGE
 from ..models.weights import bytes_beside, files_of, find
+from .options import SUMMARY, told_of_shutter
 
 if TYPE_CHECKING:
-    from .options import Options, Summary
+    from .options import CombineOptions, Options, Summary
 
 INDECISIVE = ("backend", "device", "detect_lens")  # options that leave the files as they are, but for `lens`
 
@@ -144,12 +145,28 @@ def are_finished(out: Path, frames: list[list[str]], size: tuple[int, int], writ
     return True
 
 
-def told_of_output(sequence: Sequence, options: Options) -> list[str]:
+def told_of_output(sequence: Sequence, options: Options | CombineOptions) -> list[str]:
     """What the user should know of the files."""
     if sequence.demodulated and options.layout == "plain" and not options.recombine:
         return ["R,G,B is light without the surface's colour, as in the input: --recombine makes the beauty of it, "
                 "--layout source puts it in its layer"]  # fmt: skip
+    if options.layout == "source" and not options.float32:
+        types = sequence.header.channels
+        rounded = [name for name in replaced_channels(sequence, options.recombine) if types[name] == "uint"]
+        return [f"the files have whole numbers in {','.join(rounded)}, to which --layout source rounds the result: "
+                "--float32 keeps it as it is"] if rounded else []  # fmt: skip
     return []
+
+
+def conclude(
+    out: Path, sequence: Sequence, options: Options | CombineOptions, notes: list[str], summary: Summary
+) -> None:
+    """End a run into `out`: put into its summary all that there is to say, each once, `notes` of before the first
+    frame in front, and write it."""
+    told = [*notes, *told_of_shutter(options), *told_of_output(sequence, options), *summary.notes]
+    told += [sequence.drifts.told] if options.lens else []
+    summary.notes = list(dict.fromkeys(told))
+    write_summary(out / SUMMARY, sequence, options, summary)
 
 
 def write_summary(path: Path, sequence: Sequence, options: Options, summary: Summary) -> None:

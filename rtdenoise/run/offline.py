@@ -33,17 +33,16 @@ from .folder import (
     Written,
     are_finished,
     clear,
+    conclude,
     digest,
     digest_of,
     prepare,
     refuse_foreign,
     refuse_no_folder,
     refuse_other,
-    told_of_output,
-    write_summary,
 )
 from .following import Following
-from .options import EXAMINED, SUMMARY, Options, Summary, add, of_output, told_of_shutter
+from .options import EXAMINED, Options, Summary, add, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import BYTES_PER_PIXEL, check_disk, read_estimate, write_estimate
@@ -83,10 +82,7 @@ def denoise_offline(
     with lock(out):
         remove_unfinished(out)
         summary = _Run(sequence, out, options, passes, on_frame).run(overwrite)
-        notes += [*told_of_shutter(options), *told_of_output(sequence, options), *_notes(sequence, passes)]
-        lens = [sequence.drifts.told] if options.lens else []
-        summary.notes = list(dict.fromkeys([*notes, *summary.notes, *lens]))
-        write_summary(out / SUMMARY, sequence, options, summary)
+        conclude(out, sequence, options, notes + _notes(sequence, passes), summary)
     return summary
 
 
