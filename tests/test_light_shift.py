@@ -10,7 +10,7 @@ from rtdenoise import models, ops
 from rtdenoise.constants import SHIFT_GREATEST
 from rtdenoise.frame import Known
 from rtdenoise.models import AccumulatedKPNConfig, past
-from rtdenoise.models.past import shifted
+from rtdenoise.models.moved_light import shifted
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.shift.light import light_shift

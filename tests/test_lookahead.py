@@ -13,7 +13,7 @@ from rtdenoise.errors import InputError
 from rtdenoise.evaluate import evaluate, outputs
 from rtdenoise.evaluate.registry import choose
 from rtdenoise.frame import History, Known, reverse
-from rtdenoise.models import AccumulatedKPNConfig, past
+from rtdenoise.models import AccumulatedKPNConfig, moved_light, past
 from rtdenoise.models.past import turning
 from rtdenoise.ops.pixels import demodulate
 from rtdenoise.run.denoise import Options, denoise
@@ -166,9 +166,9 @@ def test_a_lamp_shows_no_earlier_than_it_is_switched(name, factor):
 
 def test_light_that_moves_in_a_pane_is_followed_from_the_first_frame_on():
     first, second = (sanitise(frame) for frame in behind_glass())
-    back, there = past.shifted(first, None, Known(ahead=(second,))).shift, first.motion_next
+    back, there = moved_light.shifted(first, None, Known(ahead=(second,))).shift, first.motion_next
     assert there is not None
-    expected = past.shift_of(second, first.radiance, first.depth, ())
+    expected = moved_light.shift_of(second, first.radiance, first.depth, ())
     assert expected is not None and back is not None
     moved = (expected.abs().sum(1) > 0) & (back.abs().sum(1) > 0)
     assert moved.any() and (back - expected).abs().amax(1)[moved].median() < 0.15

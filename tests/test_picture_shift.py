@@ -13,7 +13,7 @@ from rtdenoise.data.stored import read_history, write_history
 from rtdenoise.errors import InputError
 from rtdenoise.frame import History, Known
 from rtdenoise.models import AccumulatedKPNConfig
-from rtdenoise.models.past import shifted
+from rtdenoise.models.moved_light import shifted
 from rtdenoise.run.denoise import Options
 from rtdenoise.run.tiles import Tiled
 from rtdenoise.shift import picture

@@ -49,7 +49,7 @@ class Follow:
         surface_before: GpuArray,
         told: tuple[GpuArray, ...],  # the shifts that the frame before agreed on, if there are any
     ) -> GpuArray:
-        """How far light has moved over its surfaces, [H, W] pixels: `models.past.shift_of`."""
+        """How far light has moved over its surfaces, [H, W] pixels: `models.moved_light.shift_of`."""
         scratch, surface = self._scratch, inputs.surface
         size = surface.shape[1::-1]
         moved, edges = scratch.image("shift.moved", surface.shape[:2]), scratch("shift.edges", (1,), np.uint32)

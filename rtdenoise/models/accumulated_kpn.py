@@ -38,7 +38,8 @@ from .config import AccumulatedKPNConfig
 from .footprint import footprint, reset_of_footprint
 from .inference import as_weights
 from .losses import frame_loss
-from .past import Past, followed, kept, reprojected, shifted
+from .moved_light import followed, shifted
+from .past import Past, kept, reprojected
 from .refinement import GuidedRefinement
 from .unet import ConvRelu, HeadsByCells, UNet, by_name, widened
 

@@ -16,7 +16,7 @@ from ..ops.even_sky import even_sky
 from ..ops.pixels import accumulate
 from ..splat import history_motion
 from .accumulated_kpn import AccumulatedKPN
-from .past import followed, shifted
+from .moved_light import followed, shifted
 
 GROUP = 6  # channels at once: fused ops take up to 8, and layers have 3
 

@@ -17,7 +17,7 @@ from ..exposure import noise_level
 from ..frame import NOTHING_KNOWN, RECENT, Frame, History, Known
 from ..models import Denoiser
 from ..models.config import CELL
-from ..models.past import followed, shifted
+from ..models.moved_light import followed, shifted
 from ..motion import on_screen
 from ..ops.kept import motion_of
 from ..sanitise import sanitise

@@ -175,7 +175,8 @@ class TorchBackend:
         import torch
 
         from ..history import advance
-        from ..models.past import kept, shift_of
+        from ..models.moved_light import shift_of
+        from ..models.past import kept
         from ..ops.kept import kept_nearer, nearer
 
         if not frames or "mean" not in self.config.carries:
