@@ -12,10 +12,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import PurePath
 
-from .files import SAMPLES, VERSION
 from .layers import LAYERS
 from .layout import Rule, first_match
 from .layouts import NATIVE
+from .numbering import SAMPLES, VERSION
 
 NAMES = {  # layer -> labels in lower case without signs, best first; "": a channel R, or a file, that has none
     "color": "|rgba|rgb|beauty|ci|combined|rgbcolor|color|colour|image|noisy|finalimage|finalcolor|hdr|c",

@@ -16,11 +16,12 @@ from pathlib import Path, PurePath
 from ..errors import InputError
 from .exr import read_header
 from .exr_format import ExrHeader
-from .files import find_files, frame_numbers
+from .files import find_files
 from .labels import NAMES, UNKNOWN, FileLabel, layers_of, of_file
 from .layers import LAYERS
 from .layout import OWN, Layout, Rule, first_match, with_components
 from .layouts import MITSUBA, NATIVE
+from .numbering import frame_numbers
 from .recognise import choose, detect, view_layers
 
 GUESSED = "guessed"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..constants import SOFTWARE_RENDERER
-from ..data.files import told_of_order
+from ..data.numbering import told_of_order
 from ..data.opening import open_sequence
 from ..data.output import write_frame
 from ..data.output_files import check_output, output_names

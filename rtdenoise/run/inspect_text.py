@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ..data.exr_format import group_channels
-from ..data.files import describe_gap, told_of_order
+from ..data.files import describe_gap
 from ..data.layouts import MITSUBA, NATIVE
+from ..data.numbering import told_of_order
 from ..errors import INSTALL_TORCH
 from ..wording import counted
 from .inspect import HAS_TORCH, Inspection
