@@ -111,8 +111,9 @@ def test_wrong_arguments_are_named():
     position, camera, ids = np.ones((H, W, 3)), np.eye(4), np.ones(SIZE)
     flat, shifted = np.diag([1.0, 1, 0, 1]), moved(np.eye(4), x=1.0)
 
-    def posed(pose, other=camera):
-        return lambda: screen_motion(position, camera, camera, ids=ids, poses={1: pose}, other_poses={1: other})
+    def posed(pose, other=camera, keys=(1,)):
+        poses = dict.fromkeys(keys, pose), dict.fromkeys(keys, other)
+        return lambda: screen_motion(position, camera, camera, ids=ids, poses=poses[0], other_poses=poses[1])
 
     for call, message in (
         (lambda: screen_motion(np.ones((3, H, W)), camera, camera), r"position: expected \[H, W, 3\], got \(3,"),
@@ -122,6 +123,8 @@ def test_wrong_arguments_are_named():
         (lambda: screen_motion(position, camera, camera, ids=np.ones((2, 2))), r"ids: expected \(24, 40\) as position"),
         (lambda: pinhole_camera(camera, 60, SIZE, "maya"), "unknown camera convention 'maya'; expected one of mitsuba"),
         (lambda: screen_motion("x", camera, camera), "position: expected numbers, got str"),
+        (lambda: posed(camera, keys=("7", 1))(), "poses: expected numbers of objects as in ids, got '7'"),
+        (lambda: screen_motion(position, camera, camera, ids=ids, poses=[camera]), "poses: expected object numbers"),
         (lambda: pinhole_camera(camera, "45", SIZE), "fov: expected numbers, got str"),
         (lambda: pinhole_camera(camera, 45, ("24", "40")), "size: expected numbers, got tuple"),
         (lambda: screen_motion(position, flat[[0, 1, 2, 2]], camera), "camera: the matrix is singular or not finite"),

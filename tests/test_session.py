@@ -405,6 +405,11 @@ def test_the_correction_needs_torch_and_shaders_refuse_it():
         rtdenoise.Denoiser("fast", backend="glsl", correct=True)
 
 
+def test_the_device_of_a_tensor_is_a_device(frames):
+    (found,), (wanted,) = (play(frames[:1], batches, device=d) for d in (frames[0].radiance.device, "cpu"))
+    assert torch.equal(found, wanted)
+
+
 @pytest.mark.parametrize(("correct", "samples"), [(False, 4), (True, -1), (True, 10**9), (True, "16"), (True, None),
                                                   (True, 1.5), (True, True)])  # fmt: skip
 def test_samples_with_a_model_by_name_go_with_a_correction_and_are_a_number_of_samples(correct, samples):

@@ -8,6 +8,7 @@ in between, which plays no part here.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Real
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def screen_motion(
     Objects without a pose stand still. Where nothing was hit the point is at infinity along the pixel's ray: only the
     camera's rotation counts. An orthographic camera sees one such point, which stands still. `OFF_SCREEN` stands for
     points behind the other camera, where its w is not positive. Raises InputError for arrays of other shapes, singular
-    matrices, and objects with a pose in one of the frames alone.
+    matrices, poses of what is no number, and objects with a pose in one of the frames alone.
     """
     position = _numbers("position", position)
     if position.ndim != 3 or position.shape[2] != 3:
@@ -76,7 +77,7 @@ def screen_motion(
     size = position.shape[:2]
     here, there = (_camera(name, m) for name, m in (("camera", camera), ("other", other)))
     hit = (position != 0).any(2) if hit is None else _plane("hit", hit, size).astype(bool)
-    poses, other_poses = poses or {}, other_poses or {}
+    poses, other_poses = _numbered("poses", poses), _numbered("other_poses", other_poses)
     if lone := sorted(poses.keys() ^ other_poses.keys()):
         raise InputError(f"object {lone[0]} has a pose in one of the frames only; give both, or none where it is still")
     if poses and ids is None:
@@ -142,6 +143,16 @@ def projection(matrix: np.ndarray) -> np.ndarray:
 def _is_perspective(camera: np.ndarray) -> bool:
     """Whether w depends on the point, beyond rounding."""
     return np.linalg.norm(camera[2, :3]) > 1e-12 * np.linalg.norm(camera[2])
+
+
+def _numbered(name: str, poses: Mapping[int, np.ndarray] | None) -> Mapping[int, np.ndarray]:
+    """Poses by the numbers of their objects. Raises InputError for other keys, such as the text of JSON: no pixel shows
+    such an object."""
+    if not isinstance(poses or {}, Mapping):
+        raise InputError(f"{name}: expected object numbers with a matrix each, got {type(poses).__name__}")
+    if wrong := [key for key in poses or {} if not isinstance(key, Real)]:
+        raise InputError(f"{name}: expected numbers of objects as in ids, got {wrong[0]!r}")
+    return poses or {}
 
 
 def _camera(name: str, matrix: np.ndarray) -> np.ndarray:

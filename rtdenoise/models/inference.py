@@ -15,8 +15,9 @@ INT8 = "int8"
 PRECISIONS = ("auto", "fp32", "bf16", INT8)
 
 
-def choose_device(name: str) -> str:
+def choose_device(name: str | torch.device) -> str:
     """'auto' becomes CUDA where there is a GPU. Raises InputError for a device that is unknown or not there."""
+    name = str(name) if isinstance(name, torch.device) else name
     if name not in ("auto", "cpu", "cuda"):
         raise InputError(f"unknown device {name!r}; expected 'auto', 'cpu' or 'cuda'")
     device = name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
