@@ -315,6 +315,9 @@ def test_frames_have_the_samples_that_they_note(shot, tmp_path, capsys):
         main(["evaluate", str(shot), "--out", str(tmp_path / "none"), "--methods", "noisy", "--spp", "2"])
     told = capsys.readouterr()
     assert "no input at 2 spp" in told.out and "samples.json" in told.out and "nothing was measured" in told.err
+    with pytest.raises(SystemExit):
+        main(["evaluate", str(shot), "--out", str(tmp_path / "none"), "--methods", "noisy", "fast", "--spp", "2"])
+    assert "the networks ran" not in capsys.readouterr().out
     (shot / "samples.json").write_text('{"spp": 2}')
     assert Source.open(shot, "color", "auto", None).spp == 2
 

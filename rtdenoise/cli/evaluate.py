@@ -75,12 +75,12 @@ class Evaluate:
                 bar.console.print(line, soft_wrap=True)
 
             document = run(self.sources, out, options, say, on_step)
+        if not document.results:
+            raise InputError(f"{out}: nothing was measured, for the reasons above")
         own = automatic(options.device)
         networks = [m for m in choose(options.methods) if m.family == "network" and len(m.precisions) > 1]
         if networks and own not in options.precisions:
             print(f"the networks ran in {', '.join(options.precisions)}; `denoise` runs most in {own} here, which is "
                   f"faster: --precision {own} measures that")  # fmt: skip
-        if not document.results:
-            raise InputError(f"{out}: nothing was measured, for the reasons above")
         Console(markup=False, emoji=False).print(summary(document.results))
         print(f"{out}: {counted(len(document.results), 'result')}; `rtdenoise report {out}` draws them")
