@@ -296,6 +296,12 @@ def test_places_without_a_sequence(tmp_path):
     assert message(open_sequence, tmp_path) == f"{tmp_path}: no .exr file in this folder: it holds 1 file, e.g. a.png"
 
 
+def test_what_is_no_exr_file_in_a_glob_is_left_out(tmp_path):
+    folder = write_native(tmp_path / "s", [1, 2])
+    (folder / "notes.txt").touch()
+    assert open_sequence(folder / "*").numbers == (1, 2)
+
+
 def test_frame_numbers_that_are_missing_or_there_twice(tmp_path):
     folder = write_native(tmp_path / "s", [1, 2, 4, 8])
     assert message(open_sequence, folder) == (

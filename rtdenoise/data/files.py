@@ -115,7 +115,8 @@ def describe_gap(gap: tuple[int, int]) -> str:
 
 
 def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Path]:
-    """The files of a folder or glob, unordered, without hidden ones: unfinished files have hidden names."""
+    """The files of a folder or glob, unordered, without hidden ones: unfinished files have hidden names. Of a glob that
+    other files fit, too, those with the suffix."""
     path = Path(path_or_glob)
     if path.is_dir():
         found = [p for p in path.iterdir() if p.suffix.lower() == suffix and not p.name.startswith(".")]
@@ -136,7 +137,7 @@ def find_files(path_or_glob: str | os.PathLike, suffix: str = ".exr") -> list[Pa
     found = [p for p in map(Path, glob(str(path))) if p.is_file()]
     if not found:
         raise InputError(f"{path}: no file fits this glob")
-    return found
+    return [p for p in found if p.suffix.lower() == suffix] or found
 
 
 def fits(path_or_glob: str | os.PathLike, buffers: Mapping[str, tuple[str, ...]]) -> bool:
