@@ -1,5 +1,7 @@
 """`rtdenoise combine`: any denoiser's files corrected by the noisy ones; resuming; everything that can be wrong."""
 
+import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +14,14 @@ from test_sequences import write_cycles
 import rtdenoise
 from rtdenoise.cli.main import main
 from rtdenoise.data.exr import read_header, write_layers
+from rtdenoise.data.opening import open_sequence
+from rtdenoise.errors import InputError
 from rtdenoise.models import CombinerConfig, Window, create, save
 from rtdenoise.run.combine import combine
 from rtdenoise.run.correcting import Run
 from rtdenoise.run.denoise import denoise
 from rtdenoise.run.options import CombineOptions, Options
-from rtdenoise.run.pairs import both, open_denoised, open_second, read_estimate
+from rtdenoise.run.pairs import both, check_signal, open_denoised, open_second, read_estimate
 
 TINY = CombinerConfig(widths=(4, 4, 4), scales=2, kernel=3)
 COUNT = 6
@@ -343,6 +347,27 @@ def test_layouts_of_the_denoised_frames(shot, clean, tmp_path, options):
     run(shot, tmp_path / "source", tmp_path / "again", options=indirect)
     run(shot, tmp_path / "plain", tmp_path / "twice", options=indirect)
     assert_same(tmp_path / "again", tmp_path / "twice")
+
+
+@pytest.mark.parametrize(
+    ("written", "asked", "held"),
+    [({"signal": "indirect"}, "color", "indirect"), ({"signal": "indirect", "recombine": True}, "indirect", "color"),
+     ({"signal": "indirect", "recombine": True}, "color", ""), ({"signal": "indirect"}, "indirect", ""),
+     ({"signal": "indirect", "recombine": True, "layout": "source"}, "indirect", ""), ({"signal": ["?"]}, "color", "")],
+    ids=str,
+)  # fmt: skip
+def test_another_signal_than_that_of_the_denoised_frames_is_refused(shot, clean, tmp_path, written, asked, held):
+    """By what `denoise` leaves beside them."""
+    other = tmp_path / "denoised"
+    shutil.copytree(clean, other)
+    (other / "denoise.json").write_text(json.dumps({"options": {"layout": "plain"} | written}))
+    source = open_sequence(shot, signal=asked)
+    estimates = open_denoised(str(other), source, "auto", False)
+    if not held:
+        check_signal(source, estimates)
+        return
+    with pytest.raises(InputError, match=f"are of the signal {held}, expected {asked}; .* or pass --signal {held}"):
+        check_signal(source, estimates)
 
 
 def test_one_folder_of_cycles_holds_noisy_and_denoised_frames(tmp_path, options, capsys):

@@ -54,7 +54,7 @@ def combine(
     from ..models import load_combiner
     from ..models.inference import choose_device
     from .correcting import Run
-    from .pairs import check_other, check_pairs, check_second, open_denoised, open_second, repeats
+    from .pairs import check_other, check_pairs, check_second, check_signal, open_denoised, open_second, repeats
 
     source = open_sequence(
         noisy, signal=options.signal, preset=options.preset, layers=("samples",), allow_gaps=options.allow_gaps
@@ -64,6 +64,7 @@ def combine(
     estimates = open_denoised(denoised, source, options.preset, options.allow_gaps)
     check_output(source, options.layout, options.recombine, options.keep, options.alpha, options.confidence)
     check_other(source, estimates)
+    check_signal(source, estimates)
     check_pairs(source, estimates)
     second = open_second(options.second, source, options.preset, options.allow_gaps) if options.second else None
     if second:

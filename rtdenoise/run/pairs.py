@@ -4,6 +4,7 @@ together."""
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +12,15 @@ import torch
 from torch import Tensor
 
 from ..color import luminance
+from ..data.layers import SIGNALS
 from ..data.opening import open_sequence
 from ..data.sequences import Sequence, convert
 from ..errors import InputError
+from ..files import read_json
 from ..frame import Frame
 from ..ops.block_luminance import block_luminance
 from ..sanitise import sanitise
-from .options import EXAMINED
+from .options import EXAMINED, SUMMARY
 
 MAX_RATIO = 1.6  # of the mean luminance of denoised and noisy frames, either way: noise moves it less, an f-stop more
 WHITE = 1.001  # a tone-mapped picture ends at 1, up to rounding
@@ -88,6 +91,21 @@ def check_other(source: Sequence, denoised: Sequence) -> None:
     if denoised.paths == source.paths and denoised.rules["radiance"].channels == channels:
         raise InputError(f"{source.paths[0]}: {', '.join(channels)} was named as noisy and as denoised frame; name the "
                          "folder of the denoised frames")  # fmt: skip
+
+
+def check_signal(source: Sequence, denoised: Sequence) -> None:
+    """Raise InputError where a run of `denoise` or `combine` tells beside the denoised frames that they hold another
+    signal."""
+    path, options = denoised.paths[0].parent / SUMMARY, {}
+    with suppress(InputError, AttributeError):  # there is none, or it is of another program
+        options = read_json(path).get("options", {})
+    if not isinstance(options, dict) or str(options.get("signal")) not in SIGNALS:
+        return
+    beauty = ["color"] if options.get("recombine") else []
+    held = beauty if beauty and options.get("layout") == "plain" else [options["signal"], *beauty]
+    if source.signal not in held:
+        raise InputError(f"{path}: the denoised frames are of the signal {held[0]}, expected {source.signal}; name "
+                         f"others, or pass --signal {held[0]}")  # fmt: skip
 
 
 def check_second(source: Sequence, second: Sequence, denoised: Sequence) -> None:
