@@ -213,15 +213,15 @@ class History:
 
 
 def expect_history(history: object, kind: type = History) -> None:
-    """Raise TypeError unless `history` is what a `step` takes: of the class `kind` of its states, or None."""
+    """Raise InputError unless `history` is what a `step` takes: of the class `kind` of its states, or None."""
     if not (history is None or isinstance(history, kind)):
         found = f"{type(history).__module__.partition('.')[0]}.{type(history).__name__}"
-        raise TypeError(f"step takes the history that the step of the frame before returned beside its image, or None, "
-                        f"got {found.removeprefix('builtins.')}")  # fmt: skip
+        raise InputError("step takes the history that the step of the frame before returned beside its image, or None, "
+                         f"got {found.removeprefix('builtins.')}")  # fmt: skip
 
 
 def image_of(history: History | None) -> Tensor | None:
-    """The image in a history, None without one. Raises TypeError for anything else."""
+    """The image in a history, None without one. Raises InputError for anything else."""
     expect_history(history)
     return None if history is None else history.radiance
 

@@ -217,7 +217,7 @@ def test_history_of_another_kind_of_model_is_refused(denoiser):
 def test_what_is_no_history_is_refused(kind, denoiser):
     state = {"Tensor": make_frame().radiance, "tuple": (1, 2), "Frame": make_frame()}[kind]
     for step in (denoiser.step, Svgf().step, Accumulate().step):
-        with pytest.raises(TypeError, match=f"step takes the history that .*, or None, got .*{kind}"):
+        with pytest.raises(InputError, match=f"step takes the history that .*, or None, got .*{kind}"):
             step(make_frame(), state)
 
 

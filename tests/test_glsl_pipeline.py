@@ -270,7 +270,7 @@ def test_history_of_another_kind_of_model_is_refused(weights):
     for pipeline, other in ((paper, default), (default, paper), (hybrid, recent)):
         with pytest.raises(InputError, match="history is of another kind of model"):
             pipeline.step(frame, other.step(frame)[1])
-    with pytest.raises(TypeError, match=r"step takes the history that .*, or None, got numpy.ndarray"):
+    with pytest.raises(InputError, match=r"step takes the history that .*, or None, got numpy.ndarray"):
         paper.step(frame, frame.radiance)
 
 

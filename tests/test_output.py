@@ -362,18 +362,6 @@ def test_kept_channels_are_those_of_the_input_to_the_bit(tmp_path, model):
         assert np.array_equal(written[name].pixels, plane) and written[name].pixels.dtype == plane.dtype
 
 
-def test_colours_that_are_whole_numbers_in_the_files_are_told(tmp_path, model):
-    (frame,) = make_frames(1)
-    layers = {name: getattr(frame, name)[0].permute(1, 2, 0).numpy() for name in ("albedo", "normal", "depth")}
-    layers["color"] = frame.radiance[0].permute(1, 2, 0).numpy() * 100
-    write_layers(tmp_path / "1.exr", layers, dtypes={"color": "uint"})
-    for float32, told, kind in ((False, 1, "uint"), (True, 0, "float")):
-        chosen = Options(model=model, layout="source", float32=float32)
-        notes = denoise(str(tmp_path / "1.exr"), tmp_path / kind, chosen).notes
-        assert sum("whole numbers in R,G,B, to which --layout source rounds" in note for note in notes) == told
-        assert read_header(tmp_path / kind / "1.exr").channels["R"] == kind
-
-
 @pytest.mark.parametrize(
     "options", [{"keep": ("extra",)}, {"signal": "indirect", "recombine": True}], ids=["keep", "recombine"]
 )

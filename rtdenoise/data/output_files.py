@@ -89,7 +89,8 @@ def _files(sequence: Sequence, layout: str, recombine: bool) -> Iterator[list[tu
     if layout == "plain":
         yield from ([pair] for pair in zip(sequence.names, sequence.paths, strict=True))
         return
-    channels = replaced_channels(sequence, recombine)
+    beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
+    channels = {*place_of(sequence).channels, *(beauty.channels if beauty else ())}
     for files, path in zip(sequence.files, sequence.paths, strict=True):
         yield [(name_of(file, path), file) for file in files.locate(channels)]
 
@@ -98,12 +99,6 @@ def place_of(sequence: Sequence) -> Rule:
     """The channels of the input that the denoised signal replaces."""
     beauty = sequence.layout.beauty_rule(sequence.header) if sequence.signal == "color" else None
     return beauty or sequence.rules["radiance"]
-
-
-def replaced_channels(sequence: Sequence, recombine: bool) -> list[str]:
-    """The channels of the input that layout 'source' replaces by results, without the picture's alpha."""
-    beauty = sequence.layout.beauty_rule(sequence.header) if recombine else None
-    return list(dict.fromkeys([*place_of(sequence).channels, *(beauty.channels if beauty else ())]))
 
 
 def name_of(file: Path, signal: Path) -> str:

@@ -235,7 +235,7 @@ class Pipeline:
     @_in_context
     def upload(self, frame: Frame, history: History | None) -> dict[str, GpuArray]:
         """The layers that a step reads, for `run`. Raises InputError where one is missing, or history is of another
-        size or kind of model, and TypeError where it is no history."""
+        size or kind of model, or none."""
         if not isinstance(frame, Frame):
             raise InputError(
                 f"step takes a rtdenoise.Frame of numpy arrays [1, C, H, W], got {type(frame).__name__}; "

@@ -120,8 +120,7 @@ class AccumulatedKPN(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
-        another size or is of another kind of model, or `frame` is no Frame of tensors, and
-        TypeError where `history` is none.
+        another size, is of another kind of model or none, or `frame` is no Frame of tensors.
         """
         frame = admit(frame, image_of(history), known)
         output, after, _ = self.step_and_kernels(frame, history, replace(known, sanitised=True))

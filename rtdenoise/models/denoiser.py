@@ -27,8 +27,8 @@ class Denoiser(Protocol):
         from this frame's motion and both depths. `known` facts are trusted: they save the work of finding them out.
         The picture is part of the history: whoever changes it in place changes the next frame.
 
-        Raises InputError where a layer is missing, the history has another size, or `frame` is no Frame of tensors, and
-        TypeError where `history` is none.
+        Raises InputError where a layer is missing, the history has another size or is none, or `frame` is no Frame of
+        tensors.
         """
 
     def statistics(self, frame: Frame) -> tuple[Tensor, Tensor]:

@@ -59,8 +59,7 @@ class TemporalKPN(nn.Module):
 
         `frame` needs radiance, albedo, normal, depth and, unless `history` is None, motion (`rtdenoise.Frame` has
         shapes and units). `history=None` starts a sequence. Raises InputError where a layer is missing, the history has
-        another size or is of another kind of model, or `frame` is no Frame of tensors, and
-        TypeError where `history` is none. The paper, §4.
+        another size, is of another kind of model or none, or `frame` is no Frame of tensors. The paper, §4.
         """
         frame = admit(frame, image_of(history), known)
         if history is not None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..data.exr import read_header
-from ..data.output_files import protect_input, replaced_channels
+from ..data.output_files import protect_input
 from ..data.sequences import Sequence
 from ..errors import InputError
 from ..files import dumps, remove_unfinished, stamp, write_atomically
@@ -150,11 +150,6 @@ def told_of_output(sequence: Sequence, options: Options | CombineOptions) -> lis
     if sequence.demodulated and options.layout == "plain" and not options.recombine:
         return ["R,G,B is light without the surface's colour, as in the input: --recombine makes the beauty of it, "
                 "--layout source puts it in its layer"]  # fmt: skip
-    if options.layout == "source" and not options.float32:
-        types = sequence.header.channels
-        rounded = [name for name in replaced_channels(sequence, options.recombine) if types[name] == "uint"]
-        return [f"the files have whole numbers in {','.join(rounded)}, to which --layout source rounds the result: "
-                "--float32 keeps it as it is"] if rounded else []  # fmt: skip
     return []
 
 
