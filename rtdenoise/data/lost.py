@@ -98,7 +98,7 @@ def _small_groups(black: np.ndarray) -> np.ndarray:
     label = groups(place, edged)
     size = np.bincount(label, minlength=len(place))
     size[label[solid.take(beside_each(place, edged)).any(0)]] = MOST + 1
-    single, small = (np.count_nonzero(size == 1), np.count_nonzero((size > 0) & (size <= MOST)))
+    single, small = np.count_nonzero(size == 1), np.count_nonzero((size > 0) & (size <= MOST))
     most = MOST if single >= LEAST_SINGLE * small else FEW_TOGETHER
     lost = np.zeros(edged.shape, bool)
     lost.flat[place[size[label] <= most]] = True
