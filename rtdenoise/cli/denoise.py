@@ -16,8 +16,9 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from ..errors import InputError
 from ..run.farm import Farm
-from ..run.options import CombineOptions, Options, Summary
+from ..run.options import CombineOptions, Options
 from ..run.processes import Place, Processes
+from ..run.summary import Summary
 from ..run.threads import cpu_limit
 from ..wording import counted
 from .failures import line

@@ -20,8 +20,9 @@ from ..files import lock, remove_unfinished
 from .choice import told_of_samples
 from .folder import conclude, prepare
 from .lens_motion import with_lens_if_lacking
-from .options import CombineOptions, Summary, check_samples
+from .options import CombineOptions, check_samples
 from .panorama import with_panorama
+from .summary import Summary
 from .surfaces import with_surfaces
 
 if TYPE_CHECKING:

@@ -21,10 +21,11 @@ from ..sanitise import faults
 from ..splat import completed
 from .folder import Written, are_finished, digest, refuse_foreign, refuse_other
 from .memory import explained
-from .options import CombineOptions, Summary, add, of_output
+from .options import CombineOptions, of_output
 from .pairs import both, read_alpha, read_estimate
 from .shadows import find_shadows
 from .state import STATE, read_state, save_state
+from .summary import Summary, add
 from .windows import windows
 
 

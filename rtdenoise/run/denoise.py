@@ -30,10 +30,11 @@ from .following import Following
 from .in_parts import in_parts
 from .lookahead import direct
 from .offline_picture import Picture
-from .options import AUTO, EXAMINED, Options, Summary, add, check, of_output
+from .options import AUTO, EXAMINED, Options, check, of_output
 from .shadows import LEFT, find_shadows, open_shadows
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, Due, finish_state, last_of_shot, read_state, save_state
+from .summary import Summary, add
 from .unmoved import Watch
 
 BLURS = "depth", "motion", "motion_next"  # what --motion-blur reads

@@ -19,10 +19,12 @@ from ..errors import InputError
 from ..files import dumps, remove_unfinished, stamp, write_atomically
 from ..models.presets import SHRINKAGE
 from ..models.weights import bytes_beside, files_of, find
-from .options import SUMMARY, told_of_shutter
+from .options import told_of_shutter
+from .summary import SUMMARY
 
 if TYPE_CHECKING:
-    from .options import CombineOptions, Options, Summary
+    from .options import CombineOptions, Options
+    from .summary import Summary
 
 INDECISIVE = ("backend", "device", "detect_lens")  # options that leave the files as they are, but for `lens`
 

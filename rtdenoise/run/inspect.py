@@ -15,10 +15,10 @@ from ..frame import Frame
 from ..sanitise import faults
 from .choice import with_region
 from .normals import told_of_normals
-from .options import add
 from .plan import Plan, make_plan
 from .same_noise import has_same_noise
 from .stand_ins import held_otherwise
+from .summary import add
 from .unmoved import Flatness, Stops, is_unmoved
 
 if TYPE_CHECKING:

@@ -42,10 +42,11 @@ from .folder import (
     refuse_other,
 )
 from .following import Following
-from .options import EXAMINED, Options, Summary, add, of_output
+from .options import EXAMINED, Options, of_output
 from .stand_ins import told_of_missing, with_stand_ins
 from .state import STATE, last_of_shot, linked, read_state, save_state
 from .stored_estimate import BYTES_PER_PIXEL, check_disk, read_estimate, write_estimate
+from .summary import Summary, add
 from .unmoved import Watch
 
 if TYPE_CHECKING:

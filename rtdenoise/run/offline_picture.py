@@ -17,8 +17,9 @@ from ..data.output_files import output_names
 from ..data.sequences import Sequence
 from ..files import LOCK
 from .folder import clear, refuse_no_folder
-from .options import FEW_AHEAD, SUMMARY, Options, Summary
+from .options import FEW_AHEAD, Options
 from .state import STATE
+from .summary import SUMMARY, Summary
 
 FOLDER = ".rtdenoise-picture"
 

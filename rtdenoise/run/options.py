@@ -1,18 +1,13 @@
-"""The options and the outcome of `denoise` and `combine`. Needs no torch."""
+"""The options of `denoise` and `combine`. Needs no torch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from ..errors import InputError
 
-if TYPE_CHECKING:
-    from .plan import Plan
-
-SUMMARY = "denoise.json"
 AUTO = "auto"
 EXAMINED = 3  # frames that the plan examines
 MAX_LOOKAHEAD = 16  # frames; beyond 8 little is gained
@@ -115,30 +110,6 @@ class Options:
     """Precision of the network: 'fp32', 'bf16' (torch), 'int8' (for CPUs that multiply bytes), 'fp16' (glsl, for
     stored activations), or 'auto' (torch: bf16 or int8 where the hardware is faster with it, fp32 with
     --offline; glsl: fp32)."""
-
-
-@dataclass
-class Summary:
-    """The outcome of a run. All but `written`, `skipped` and `seconds` include earlier, interrupted runs."""
-
-    written: int = 0
-    skipped: int = 0
-    seconds: float = 0.0  # in the denoiser alone
-    replaced: dict[str, int] = field(default_factory=dict)  # "layer: what was wrong" -> pixels (`sanitise.faults`)
-    passed_on: dict[str, int] = field(default_factory=dict)  # channel copied from the input -> NaNs in it
-    cuts: list[int] = field(default_factory=list)  # numbers of the frames that start a shot
-    exposure: list[float] = field(default_factory=list)  # brightness of each frame over that of its shot's first one
-    gaps: list[tuple[int, int]] = field(default_factory=list)  # (first, last) missing frame number of each gap
-    left_out: dict[str, int] = field(default_factory=dict)  # what -> frames that did without it
-    notes: list[str] = field(default_factory=list)  # what else the user should know
-    ran: dict[str, str] = field(default_factory=dict)  # backend, device and precision: what 'auto' became
-    plan: Plan | None = None
-
-
-def add(counts: dict[str, int], more: Mapping[str, int]) -> None:
-    """Add to the counts of a summary."""
-    for what, count in more.items():
-        counts[what] = counts.get(what, 0) + count
 
 
 @dataclass(frozen=True)

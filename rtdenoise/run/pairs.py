@@ -20,7 +20,8 @@ from ..files import read_json
 from ..frame import Frame
 from ..ops.block_luminance import block_luminance
 from ..sanitise import sanitise
-from .options import EXAMINED, SUMMARY
+from .options import EXAMINED
+from .summary import SUMMARY
 
 MAX_RATIO = 1.6  # of the mean luminance of denoised and noisy frames, either way: noise moves it less, an f-stop more
 WHITE = 1.001  # a tone-mapped picture ends at 1, up to rounding

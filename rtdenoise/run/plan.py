@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..frame import OCCLUSION_THRESHOLD, Frame, Known
-from .options import add
+from .summary import add
 
 if TYPE_CHECKING:
     from torch import Tensor

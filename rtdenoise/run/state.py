@@ -13,7 +13,8 @@ from ..data.sequences import Sequence
 from ..data.stored import read_history, write_history
 from ..errors import InputError
 from .backends import Backend
-from .options import Options, Summary
+from .options import Options
+from .summary import Summary
 
 STATE = ".rtdenoise-state.safetensors"  # in the output folder: the history after the last finished frame
 MARKS = ("fingerprint", "written")  # of the input, and of the finished files
