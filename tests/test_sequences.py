@@ -248,6 +248,9 @@ def test_a_missing_signal(tmp_path):
     )
     wrong = message(open_sequence, folder, preset=3)
     assert wrong == "preset: expected the name of a layout or a .toml file, got int"
+    for asked in (open_sequence(folder).require, open_sequence(folder).only):
+        assert message(asked, "normals").startswith("unknown layer 'normals': known are radiance, ")
+    assert open_sequence(folder).only("radiance").rules.keys() == {"radiance"}
     assert message(open_sequence, folder, layers="normals").startswith("unknown layer 'normals': known are radiance, ")
 
 

@@ -7,7 +7,6 @@ from collections.abc import Collection
 from pathlib import Path
 
 from ..errors import InputError
-from ..frame import CHANNELS
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_frames, find_gaps
 from .layers import SIGNALS
@@ -15,7 +14,7 @@ from .layout import Layout, Rule
 from .noisebase import NOISEBASE, find_archives
 from .recognise import choose, find, samples, settled
 from .scene_file import read_scene
-from .sequences import DEFAULT_LAYERS, Sequence, no_layer
+from .sequences import DEFAULT_LAYERS, Sequence, layer_names, no_layer
 
 
 def open_sequence(
@@ -38,9 +37,7 @@ def open_sequence(
     """
     if signal not in SIGNALS:
         raise InputError(f"unknown signal '{signal}': known are {', '.join(SIGNALS)}")
-    layers = (layers,) if isinstance(layers, str) else layers
-    if unknown := [layer for layer in layers or () if layer not in CHANNELS]:
-        raise InputError(f"unknown layer '{unknown[0]}': known are {', '.join(CHANNELS)}")
+    layers = layer_names(layers or ())
     preset = os.fspath(preset) if isinstance(preset, os.PathLike) else preset
     chosen = choose(preset, path_or_glob)
     if chosen is NOISEBASE:
@@ -54,7 +51,7 @@ def open_sequence(
         raise InputError(no_layer(header, found, signal, "radiance"))
     path = files[0].path.parent / found.cameras
     scene = read_scene(path, header)
-    wanted = {*DEFAULT_LAYERS, *(layers or ())}
+    wanted = {*DEFAULT_LAYERS, *layers}
     if scene and not {"depth", "motion", "motion_next"} <= available.keys():
         wanted |= {"position", "id"}
         if "position" in available:

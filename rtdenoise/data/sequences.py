@@ -10,7 +10,7 @@ from typing import overload
 import numpy as np
 
 from ..errors import InputError
-from ..frame import Frame
+from ..frame import CHANNELS, Frame
 from .components import check_components
 from .exr_format import ExrHeader
 from .files import FrameFiles, find_gaps
@@ -174,11 +174,13 @@ class Sequence:
         path = path if path and names >= {*path.channels} else None
         return path, found if found.keys() - {"sky"} else {}
 
-    def only(self, layers: Collection[str]) -> Sequence:
+    def only(self, layers: Collection[str] | str) -> Sequence:
         """The sequence with only these layers of `Frame` and the layers that they are computed from.
 
-        Parts of a multi-part file that nothing needs are not even read from the disk.
+        Parts of a multi-part file that nothing needs are not even read from the disk. Raises InputError as
+        `layer_names`.
         """
+        layers = layer_names(layers)
         computed = [layer for layer in layers if layer in DEFAULT_LAYERS and layer not in self.available]
         wanted = {*layers, *(("position", "id") if computed else ())}
         rules = {layer: rule for layer, rule in self.rules.items() if layer in wanted}
@@ -187,9 +189,10 @@ class Sequence:
     def require(self, *layers: str) -> Sequence:
         """The sequence itself, if it has these layers of `Frame`.
 
-        Raises `InputError` naming the file, the first missing layer, the channels there are, and the remedy.
+        Raises `InputError` naming the file, the first missing layer, the channels there are, and the remedy, and as
+        `layer_names`.
         """
-        if missing := [layer for layer in layers if not self.has(layer)]:
+        if missing := [layer for layer in layer_names(layers) if not self.has(layer)]:
             raise InputError(no_layer(self.header, self.layout, self.signal, missing[0]))
         return self
 
@@ -208,6 +211,14 @@ class Sequence:
         if layer in self.available or not self.scene or "position" not in self.available:
             return layer in self.available
         return layer in ("depth", "motion", "motion_next") and ("id" in self.available or not self.scene["objects"])
+
+
+def layer_names(layers: Collection[str] | str) -> tuple[str, ...]:
+    """Names of layers of `Frame`; a plain string is one. Raises InputError for a name that is none."""
+    names = (layers,) if isinstance(layers, str) else (*layers,)
+    if unknown := [name for name in names if name not in CHANNELS]:
+        raise InputError(f"unknown layer '{unknown[0]}': known are {', '.join(CHANNELS)}")
+    return names
 
 
 def convert(
