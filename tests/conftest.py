@@ -6,6 +6,7 @@ import gc
 import os
 import random
 import re
+from dataclasses import replace
 from pathlib import Path
 
 # Each worker of pytest-xdist has one thread: pictures here are tiny, and threads that outnumber the processors wait ten
@@ -111,6 +112,23 @@ def weights(tmp_path_factory):
         return str(written[key])
 
     return write
+
+
+@pytest.fixture
+def thin_filters(monkeypatch):
+    """Networks whose pixels are written by a thin one filter albedo and normal by thin ones, too."""
+    from rtdenoise.models.hybrid_config import HybridConfig, PixelShape
+
+    whole = HybridConfig.surfaces.fget
+
+    def surfaces(config):
+        thin = config.down[0] < PixelShape.down[0]
+        return {
+            name: replace(shape, down=config.down, up=config.up, out=config.out) if thin else shape
+            for name, shape in whole(config).items()
+        }
+
+    monkeypatch.setattr(HybridConfig, "surfaces", property(surfaces))
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,6 @@ from rtdenoise.errors import InputError
 from rtdenoise.frame import Frame
 from rtdenoise.models import create, save
 from rtdenoise.models.config import NetworkConfig, TemporalKPNConfig
-from rtdenoise.models.hybrid_config import HybridConfig, PixelShape
 from rtdenoise.models.weights import read_config
 from rtdenoise.run.denoise import denoise
 
@@ -34,20 +33,6 @@ def thin(name: str) -> NetworkConfig:
     """The configuration of a model that ships, with thin networks."""
     config = read_config(name)
     return replace(config, **{field.name: THIN[field.name] for field in fields(config) if field.name in THIN})
-
-
-def filter_thinly(monkeypatch) -> None:
-    """Networks whose pixels are written by a thin one filter albedo and normal by thin ones, too."""
-    whole = HybridConfig.surfaces.fget
-
-    def surfaces(config):
-        thin = config.down[0] < PixelShape.down[0]
-        return {
-            name: replace(shape, down=config.down, up=config.up, out=config.out) if thin else shape
-            for name, shape in whole(config).items()
-        }
-
-    monkeypatch.setattr(HybridConfig, "surfaces", property(surfaces))
 
 
 def message(function, *args, **kwargs) -> str:

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scripts import imported
-from synthetic import filter_thinly, thin
+from synthetic import thin
 
 from rtdenoise.cli.main import main
 from rtdenoise.errors import InputError
@@ -28,6 +28,7 @@ from rtdenoise.models import CombinerConfig, create, save
 
 PLAYER = Path(__file__).parent.parent / "examples" / "engines" / "player.py"
 SIZE = (19, 34)
+pytestmark = pytest.mark.usefixtures("thin_filters")
 
 
 @pytest.fixture(scope="module")
@@ -61,11 +62,6 @@ def exported(tmp_path_factory):
     out = tmp_path_factory.mktemp("export") / "out"
     export(out, "default", SIZE)
     return out
-
-
-@pytest.fixture(autouse=True)
-def thin_filters(monkeypatch):
-    filter_thinly(monkeypatch)
 
 
 def document(folder):

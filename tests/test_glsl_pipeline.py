@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
-from synthetic import TINY, assert_goes_on, behind_glass, filter_thinly, make_frames, write_sequence
+from synthetic import TINY, assert_goes_on, behind_glass, make_frames, write_sequence
 
 from rtdenoise import glsl, models
 from rtdenoise.data.exr import read_channels
@@ -35,17 +35,14 @@ from rtdenoise.run.denoise import Options, denoise
 from rtdenoise.run.plan import look
 from rtdenoise.sanitise import sanitise
 
+# That networks of full width are torch's is a test of its own.
+pytestmark = pytest.mark.usefixtures("thin_filters")
+
 # Small models, by the preset of the same architecture.
 WHOLE = AccumulatedKPNConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, pick_kernel=3, detail=True)  # every head there is
 HYBRID = HybridConfig(widths=(8, 12, 4, 8, 4), edge_kernel=3, recent=3, down=(8, 12, 4), up=(12, 8), out=(8, 4))
 SMALL = {"paper": TINY, "default": WHOLE, "recent": replace(WHOLE, recent=2), "hybrid": HYBRID}
 NETWORKS = SMALL | {"clean": replace(HYBRID, twice=True, clean=True)}  # what history has no part in
-
-
-@pytest.fixture(autouse=True)
-def narrow_surfaces(monkeypatch):
-    """That the networks of `hybrid-large` are torch's is a test of its own."""
-    filter_thinly(monkeypatch)
 
 
 @pytest.fixture(autouse=True)
