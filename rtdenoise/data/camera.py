@@ -148,11 +148,12 @@ def _is_perspective(camera: np.ndarray) -> bool:
 def _numbered(name: str, poses: Mapping[int, np.ndarray] | None) -> Mapping[int, np.ndarray]:
     """Poses by the numbers of their objects. Raises InputError for other keys, such as the text of JSON: no pixel shows
     such an object."""
-    if not isinstance(poses or {}, Mapping):
+    poses = poses or {}
+    if not isinstance(poses, Mapping):
         raise InputError(f"{name}: expected object numbers with a matrix each, got {type(poses).__name__}")
-    if wrong := [key for key in poses or {} if not isinstance(key, Real)]:
+    if wrong := [key for key in poses if not isinstance(key, Real)]:
         raise InputError(f"{name}: expected numbers of objects as in ids, got {wrong[0]!r}")
-    return poses or {}
+    return poses
 
 
 def _camera(name: str, matrix: np.ndarray) -> np.ndarray:
@@ -186,16 +187,15 @@ def _expect_regular(name: str, matrix: np.ndarray, part: np.ndarray) -> None:
 def _numbers(name: str, array: np.ndarray, shape: tuple[int, ...] | None = None) -> np.ndarray:
     """The array in float64. Raises InputError for what is none, text too, or has another shape."""
     try:
-        text = np.asarray(array).dtype.kind in "US"
-        array = array if text else np.asarray(array, np.float64)
+        numbers = None if np.asarray(array).dtype.kind in "US" else np.asarray(array, np.float64)
     except (TypeError, ValueError):
-        text = True
-    if text:
+        numbers = None
+    if numbers is None:
         raise InputError(f"{name}: expected numbers, got {type(array).__name__}")
-    if shape not in (None, array.shape):
+    if shape not in (None, numbers.shape):
         expected = f"{shape[0]} numbers" if shape else "one number"
-        raise InputError(f"{name}: expected {expected}, got an array {array.shape}")
-    return array
+        raise InputError(f"{name}: expected {expected}, got an array {numbers.shape}")
+    return numbers
 
 
 def _plane(name: str, plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
