@@ -33,6 +33,13 @@ RECALL_MISPLACED = 2.0  # below that the square of their distance counts so many
 RECALL_MISPLACED_MORE = 0.2  # likewise with `Frame.more_history`
 RESET_MORE = 0.5  # share of the network's reset that counts for footprints of many samples, likewise
 
+# Light of earlier frames that is as bright as now (`ops.relit`).
+RELIT_CELL = 4  # side in pixels of the cells that are multiplied
+RELIT_SIDES = 4, 2  # side in cells of the squares in which light is compared, one after the other; 3 × 3 count together
+RELIT_FROM, RELIT_WHOLE = 4.0, 8.0  # |sum of differences|² / sum of |differences|²: light begins to follow; does wholly
+RELIT_DARKER = 1.5  # these bounds for light that becomes darker, so many times as high: the rarest samples are bright
+RELIT_MOST = 4.0  # times as bright, or as dark, in each comparison
+
 # Surfaces that are hit here and there, as they are out of focus (`ops.scattered`).
 SCATTERED_ALIKE = 1  # of the eight pixels around a lone sample, so many at most show its surface, as lone as it
 SCATTERED_REACH = 3  # pixels along either axis around a lone sample, in which its surface may be seen

@@ -93,6 +93,7 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     from rtdenoise.ops.mix import mix
     from rtdenoise.ops.over import over_and_coverage
     from rtdenoise.ops.recall import recall
+    from rtdenoise.ops.relit import gain, relit_
     from rtdenoise.ops.retextured import retextured
     from rtdenoise.ops.scattered import scattered
     from rtdenoise.ops.settle import settle
@@ -154,6 +155,9 @@ def _calls(H: int, W: int, kind: str, few: bool) -> Iterator[tuple[str, object]]
     for held in (seen, share):
         yield "held_and_tells", held_and_tells(held, torch.float32)
     yield "agrees", agrees(image, other, seen)
+    brighter = gain(image, other, seen)
+    yield "gain", brighter
+    yield "relit_", relit_(image.clone(), brighter)
     yield "retextured", retextured(image, other, seen)
     yield "scattered", scattered(depth)
     footprint = torch.cat([image, other, normal], dim=1)

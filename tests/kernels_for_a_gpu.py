@@ -6,7 +6,7 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
-from rtdenoise.ops.triton import agrees, displacement_sums, even_sky, light_shift, mean_distance
+from rtdenoise.ops.triton import agrees, displacement_sums, even_sky, light_shift, mean_distance, relit
 from rtdenoise.ops.triton.apply_kernel import _backward, _forward
 from rtdenoise.ops.triton.around import _bounds, _within
 from rtdenoise.ops.triton.blend_history import _blend_history
@@ -115,6 +115,13 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     build(_gives_way, dict(CELL=4, BLOCK=128, **one), noise="fp32", angle="fp32", **sizes)
     build(agrees._compare, dict(CELL=4, BLOCK=128, **one), found="*u8", rounding="fp32", **sizes)
     build(agrees._spread, dict(CELL=4, BLOCK=128, **one), **sizes)
+    build(relit._sum_cells, dict(CELL=4, BLOCK=128, **one), found="*u8", **sizes)
+    cells = ({}, dict(h="i32", w="i32")) if not one else (dict(h=1, w=1), {})
+    for first, half in ((True, 2), (False, 1)):
+        build(relit._sum_quarters, dict(FIRST=first, HALF=half, BLOCK=128, **cells[0]), **cells[1])
+    build(relit._brighter, dict(BLOCK=128, **cells[0]), **cells[1], **dict.fromkeys(["darker", "start", "whole", "most"], "fp32"))
+    build(relit._gain, dict(CELLS=4, BLOCK=128, **cells[0]), **cells[1])
+    build(relit._relit, dict(CELL=4, BLOCK=128, **one), C="i32", **sizes)
     build(even_sky._blocks, dict(SIDE=8, COUNT=8, **one), **sizes)
     build(even_sky._even_sky, dict(SIDE=8, COUNT=8, **one), tolerance="fp32", **sizes)
     build(_without_fireflies, dict(LEAST=5, BLOCK=128, **one), **near)

@@ -440,6 +440,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
         "block_luminance": "_block_luminance", "window_noise": "_window_noise", "mean_distance": "_mean _sums",
         "replace_invalid": "_replace", "ranks": "_kth_greatest _exposure_of _median",
         "lift": "_lift _lower", "turned": "_turns _gives_way", "agrees": "_compare _spread",
+        "relit": "_sum_cells _sum_quarters _brighter _gain _relit",
     }  # fmt: skip
 
     class Kernel:
@@ -465,7 +466,7 @@ def test_no_fused_op_waits_for_the_gpu_or_copies_from_the_host(config, monkeypat
         left_out |= {"window_noise", "ranks._median"}
     if not isinstance(model, models.AccumulatedKPN):
         left_out |= {"reproject", "soften", "shares", "features", "blend_history", "compressed", "displacement_sums"}
-        left_out |= {"light_shift", "picture", "turned", "agrees", "unchanged"}
+        left_out |= {"light_shift", "picture", "turned", "agrees", "unchanged", "relit"}
         left_out |= {"pixels._demodulate", "pixels._modulate", "pixels._accumulate"}
     assert launched == {name for name in every if not {name, name.partition(".")[0]} & left_out}
 

@@ -32,6 +32,7 @@ from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.over import over
 from rtdenoise.ops.recall import recall
+from rtdenoise.ops.relit import gain
 from rtdenoise.ops.soften import soften
 from rtdenoise.ops.turned import turned
 from rtdenoise.shift.displacement import displacement_sums
@@ -276,6 +277,7 @@ def misfits():
         "block_luminance": (lambda x: torch.stack(block_luminance(x, 4)), (3,)),
         "feature_bytes": (feature_bytes, (3, 3, 3)),
         "turned": (turned, (3, 3)),
+        "gain": (lambda before, now, found: gain(before, now, found > 0.5), (3, 3, 1)),
         "agrees": (lambda light, mean, found: agrees(light, mean, found > 0.5), (3, 3, 1)),
         "over": (lambda seen, motion, depth: over(seen, seen, motion, depth, [frame]), (9, 2, 1)),
     }

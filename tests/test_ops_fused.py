@@ -31,6 +31,7 @@ from rtdenoise.ops.mean_distance import mean_distance
 from rtdenoise.ops.mix import mix
 from rtdenoise.ops.native import compiler
 from rtdenoise.ops.native.convolve_bytes import BYTES, PAIRS
+from rtdenoise.ops.relit import gain, relit_
 from rtdenoise.ops.replace_invalid import replace_invalid
 from rtdenoise.ops.scattered import scattered
 from rtdenoise.ops.settle import settle
@@ -253,6 +254,23 @@ def test_running_means_are_tested_alike(both, assert_images_close, size):
     mean[1, ..., size[1] // 2 :] = light[1, ..., size[1] // 2 :]
     plain, fused = both(agrees, light, mean, torch.rand(2, 1, *size) < 0.9)
     assert_images_close(fused, plain, "float32 quotient")
+
+
+@pytest.mark.parametrize("size, scale", [((3, 4), 1.0), ((1, 141), 1e-20), ((37, 60), 1e15)], ids=str)
+@pytest.mark.parametrize("backend", ["native", "triton"], indirect=True)
+def test_light_is_as_bright_as_now_alike(both, assert_images_close, size, scale):
+    """Light that has become brighter on one side, in one colour by more than is followed, and dark with noise on the
+    other; squares of the brightest are infinite."""
+    before = scale * torch.rand(2, 3, *size) ** 3
+    now = before.flip(0).roll(1, 3)
+    now[..., : size[1] // 2] *= torch.tensor([9.0, 1.3, 1.0]).view(3, 1, 1)
+    found = torch.rand(2, 1, *size) < 0.9
+    plain, fused = both(gain, before, now, found)
+    assert_images_close(fused, plain, "float32 quotient")
+    assert plain.amax() > 1.1 or size[0] < 37
+    image = torch.rand(2, 5, *size)
+    image, light = both(lambda gain: relit_(image.clone(), gain), plain)
+    torch.testing.assert_close(light, image)
 
 
 @pytest.mark.parametrize("size", [(3, 4), (17, 5), (1, 150)], ids=str)

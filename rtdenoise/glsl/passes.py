@@ -15,6 +15,8 @@ from ..constants import (
     OUTDATED_FRAMES,
     OUTDATED_RIM,
     RECALL_CELL,
+    RELIT_CELL,
+    RELIT_SIDES,
     SKY_BLOCK,
     TURNED_CELL,
 )
@@ -178,6 +180,24 @@ class Passes:
         enough, group = float(max(1, min(frames, OUTDATED_FRAMES))), (OUTDATED_CELL, OUTDATED_CELL)
         dispatch("accumulated_kpn/outdated", (W, H), buffers, {"frames": enough}, group)
         return past
+
+    def relight(self, inputs: Inputs, past: GpuArray, means: Means) -> None:
+        """Multiply means and footprints by how much brighter light has become, then the previous output by how much
+        brighter they are: `ops.relit`."""
+        H, W = inputs.surface.shape[:2]
+        extent, seen = _cells((H, W), RELIT_CELL), means.running if means.seen is None else means.seen
+        cells = self._scratch("relit.cells", (2, *extent, 4))
+        first, second = (self._scratch.image(f"relit.{side}", _cells(extent, side)) for side in RELIT_SIDES)
+        images = {"running": means.running, "past": past, "seen": seen}
+        for picture in (0, 1):
+            kinds = {"PICTURE": picture, "SEEN": int(means.seen is not None)}
+            buffers = images | {"light": inputs.light, "guide": inputs.guide, "cells": cells}
+            dispatch("accumulated_kpn/gain", (W, H), buffers, **kinds)
+            for side, known, gains in zip(RELIT_SIDES, (cells, first), (first, second), strict=True):
+                buffers, size = {"cells": cells, "first": known, "gains": gains}, _cells(extent, side)[::-1]
+                at = {"FIRST": int(known is cells), "SIDE": side}
+                dispatch("accumulated_kpn/brighter", size, buffers, {"extent": extent[::-1]}, **at)
+            dispatch("accumulated_kpn/relit", (W, H), images | {"first": first, "second": second}, **kinds)
 
     def features(self, inputs: Inputs, past: GpuArray, means: Means, groups: int) -> GpuArray:
         """The network's input, padded to whole cells of the network. Models that accumulate read `means` too, and write

@@ -167,6 +167,8 @@ class Pipeline:
             turned = passes.turned(chosen, inputs, history, known.still) if averages else None
             if averages and bool(history.recent) == (self.config.recent > 0):
                 past = passes.outdated(inputs, noisy, past, means, turned, len(history.recent))
+            if averages and past is not history.denoised:  # a still's, where nothing tells what is outdated
+                passes.relight(inputs, past, means)
         with self._stage("features"):
             groups = 4 if first else 6 if dual else 5  # of four features; the others are zero everywhere
             features = passes.features(inputs, past, means, groups)

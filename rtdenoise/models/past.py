@@ -21,8 +21,9 @@ from ..ops.keep import keep
 from ..ops.off_pixel import off_pixel
 from ..ops.outdated import flashed, outdated
 from ..ops.passed import passed
-from ..ops.pixels import demodulate, joined
+from ..ops.pixels import demodulate, joined, modulate
 from ..ops.recall import Recalled, recall
+from ..ops.relit import gain, relit_
 from ..ops.retextured import retextured
 from ..ops.scattered import scattered
 from ..ops.turned import turned
@@ -79,11 +80,27 @@ def reprojected(
     known: Known = NOTHING_KNOWN,
 ) -> Past:
     """History, reprojected to this frame: means from the same surface only, the previous output from any. Light is the
-    mean of recent frames where `config.recent` keeps any, and of those of `known.ahead`, or else a running mean."""
+    mean of recent frames where `config.recent` keeps any, and of those of `known.ahead`, or else a running mean.
+    It is as bright as the frame."""
     if history is not None:
         history = nearest(history, known)
     past = _nothing(frame) if history is None else _before(config, frame, noisy, history, known)
-    return _and_after(past, config, frame, noisy, known) if known.ahead else past
+    past = _and_after(past, config, frame, noisy, known) if known.ahead else past
+    return past if history is None and not known.ahead else _relit(past, frame, noisy)
+
+
+def _relit(past: Past, frame: Frame, noisy: Tensor) -> Past:
+    """`past` with its light and footprint as bright as this frame, and its previous output as bright as they are: single
+    frames have too few of the rarest bright samples, and would darken it."""
+    brighter = gain(past.light, noisy, past.length > 0)
+    past = replace(past, light=relit_(past.light, brighter))
+    if past.footprint is None:
+        now = modulate(past.light, frame.albedo, frame.albedo, past.length, frame.depth)
+        known = past.length > 0
+    else:
+        past = replace(past, footprint=relit_(past.footprint, brighter))
+        now, known = past.footprint[:, :3], past.footprint_count > 0
+    return replace(past, output=relit_(past.output, gain(past.output, now, past.held & known)))
 
 
 def nearest(history: History, known: Known) -> History:

@@ -18,6 +18,7 @@ from ..exposure import exposure
 from ..frame import History
 from ..ops import fetch, reproject, warp
 from ..ops.kept import distance, nearer
+from ..ops.relit import gain, relit_
 from ..ops.settle import settle
 
 
@@ -56,6 +57,8 @@ def _least(image: Tensor, before: int, after: int) -> Tensor:
 
 def mixed(image: Tensor, noisy: Tensor, beside: Tensor, motion: Tensor, alike: Tensor, trusted: Tensor) -> Tensor:
     """A picture with that of a frame `beside` it in time, to which `motion` leads; the rest as for `settle`. What a
-    picture shows as it was rendered, as a sky without noise, stays."""
+    picture shows as it was rendered, as a sky without noise, stays. It is as bright as the noisy frame (`ops.relit`)."""
     alike = alike * (image != noisy).any(1, keepdim=True)
-    return settle(image, warp(beside, motion, cubic=True), noisy, alike, trusted, exposure(image))
+    following = warp(beside, motion, cubic=True)
+    following = relit_(following, gain(following, noisy, alike > 0))
+    return settle(image, following, noisy, alike, trusted, exposure(image))
