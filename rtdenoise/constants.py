@@ -37,6 +37,7 @@ RESET_MORE = 0.5  # share of the network's reset that counts for footprints of m
 RELIT_CELL = 4  # side in pixels of the cells that are multiplied
 RELIT_SIDES = 4, 2  # side in cells of the squares in which light is compared, one after the other; 3 × 3 count together
 RELIT_FROM, RELIT_WHOLE = 4.0, 8.0  # |sum of differences|² / sum of |differences|²: light begins to follow; does wholly
+RELIT_ROUNDING = 4e-3  # share of the sum of earlier light that sums differ by at least: kept frames are bfloat16
 RELIT_DARKER = 1.5  # these bounds for light that becomes darker, so many times as high: the rarest samples are bright
 RELIT_MOST = 4.0  # times as bright, or as dark, in each comparison
 

@@ -119,7 +119,8 @@ for one in ({}, dict(H=1, W=1)):  # an argument of 1 becomes a constant
     cells = ({}, dict(h="i32", w="i32")) if not one else (dict(h=1, w=1), {})
     for first, half in ((True, 2), (False, 1)):
         build(relit._sum_quarters, dict(FIRST=first, HALF=half, BLOCK=128, **cells[0]), **cells[1])
-    build(relit._brighter, dict(BLOCK=128, **cells[0]), **cells[1], **dict.fromkeys(["darker", "start", "whole", "most"], "fp32"))
+    bounds = dict.fromkeys(["rounding", "darker", "start", "whole", "most"], "fp32")
+    build(relit._brighter, dict(BLOCK=128, **cells[0]), **cells[1], **bounds)
     build(relit._gain, dict(CELLS=4, BLOCK=128, **cells[0]), **cells[1])
     build(relit._relit, dict(CELL=4, BLOCK=128, **one), C="i32", **sizes)
     build(even_sky._blocks, dict(SIDE=8, COUNT=8, **one), **sizes)

@@ -90,8 +90,8 @@ def reprojected(
 
 
 def _relit(past: Past, frame: Frame, noisy: Tensor) -> Past:
-    """`past` with its light and footprint as bright as this frame, and its previous output as bright as they are: single
-    frames have too few of the rarest bright samples, and would darken it."""
+    """`past` with its light and footprint as bright as this frame, and its previous output as bright as they are: a
+    single frame has too few of the rarest bright samples, and would darken it."""
     brighter = gain(past.light, noisy, past.length > 0)
     past = replace(past, light=relit_(past.light, brighter))
     if past.footprint is None:

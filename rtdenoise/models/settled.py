@@ -57,7 +57,7 @@ def _least(image: Tensor, before: int, after: int) -> Tensor:
 
 def mixed(image: Tensor, noisy: Tensor, beside: Tensor, motion: Tensor, alike: Tensor, trusted: Tensor) -> Tensor:
     """A picture with that of a frame `beside` it in time, to which `motion` leads; the rest as for `settle`. What a
-    picture shows as it was rendered, as a sky without noise, stays. It is as bright as the noisy frame (`ops.relit`)."""
+    picture shows as it was rendered, as a sky without noise, stays. `beside` becomes as bright as the noisy frame."""
     alike = alike * (image != noisy).any(1, keepdim=True)
     following = warp(beside, motion, cubic=True)
     following = relit_(following, gain(following, noisy, alike > 0))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..constants import RELIT_CELL, RELIT_DARKER, RELIT_FROM, RELIT_MOST, RELIT_SIDES, RELIT_WHOLE
+from ..constants import RELIT_CELL, RELIT_DARKER, RELIT_FROM, RELIT_MOST, RELIT_ROUNDING, RELIT_SIDES, RELIT_WHOLE
 from .agrees import check_before
 from .dispatch import Fused, Support, falls_back
 
@@ -32,7 +32,7 @@ def gain(
     the eight around it,
 
         g = clamp((q - FROM) / (WHOLE - FROM), 0, 1) · log clamp(Σ now / Σ before, 1/MOST, MOST),
-        q = |Σ d|² / Σ |d|²,    d = sums of before - now over the quarters of squares,
+        q = |Σ d|² / (Σ |d|² + |ROUNDING Σ before|²),    d = sums of before - now over the quarters of squares,
 
     where `before` is multiplied by exp(g₁) once that is known, and sums are over the pixels that are `found`. Of the 36
     quarters q is 1 on average if what differs is noise, or texture that is looked up beside its place; and 36 if light
@@ -79,7 +79,8 @@ def _brighter(before: Tensor, now: Tensor, side: int) -> Tensor:
     square = (then - light).square().sum(1, keepdim=True)
     sums = 9 * F.avg_pool2d(_summed(torch.cat([quarters, square], dim=1), 2), 3, stride=1, padding=1)
     then, light, square = sums.split([3, 3, 1], dim=1)
-    q = (then - light).square().sum(1, keepdim=True) / square.clamp(min=1e-300)
+    least = (RELIT_ROUNDING * then).square().sum(1, keepdim=True)
+    q = (then - light).square().sum(1, keepdim=True) / (square + least).clamp(min=1e-300)
     darker = light.sum(1, keepdim=True) < then.sum(1, keepdim=True)
     q = torch.where(darker, q / RELIT_DARKER, q)
     sure = ((q - RELIT_FROM) / (RELIT_WHOLE - RELIT_FROM)).clamp(0, 1)

@@ -2,10 +2,11 @@
 // How much brighter light has become in squares of SIDE × SIDE cells (ops.relit):
 //
 //     g = clamp((q - RELIT_FROM) / (RELIT_WHOLE - RELIT_FROM), 0, 1) · log clamp(Σ now / Σ before, 1/RELIT_MOST, RELIT_MOST)
-//     q = |Σ d|² / Σ |d|² / (RELIT_DARKER where Σ now < Σ before, else 1)
+//     q = |Σ d|² / (Σ |d|² + |RELIT_ROUNDING Σ before|²) / (RELIT_DARKER where Σ now < Σ before, else 1)
 //
-// with d the sums of before - now over the quarters of squares, of a square and the eight around it. Unless FIRST, before is as bright as `first` says.
-#pragma constants FIRST SIDE RELIT_DARKER RELIT_FROM RELIT_WHOLE RELIT_MOST
+// with d the sums of before - now over the quarters of squares, of a square and the eight around it. Unless FIRST, before is as
+// bright as `first` says.
+#pragma constants FIRST SIDE RELIT_ROUNDING RELIT_DARKER RELIT_FROM RELIT_WHOLE RELIT_MOST
 #pragma parameters ivec2 extent
 #include "image.glsl"
 #include "gain.glsl"
@@ -46,7 +47,8 @@ void main() {
         vec3 d = share * (before - now);
         noise += dot(d, d);
     }
-    vec3 apart = share * (sum - sum_now), times = vec3(1.0);
+    vec3 apart = share * (sum - sum_now), least = RELIT_ROUNDING * share * sum, times = vec3(1.0);
+    noise += dot(least, least);
     float q = dot(apart, apart) / max(noise, 1e-30);
     if (dot(sum_now, vec3(1.0)) < dot(sum, vec3(1.0))) q /= RELIT_DARKER;
     float sure = clamp((q - RELIT_FROM) / (RELIT_WHOLE - RELIT_FROM), 0.0, 1.0);

@@ -1,5 +1,5 @@
-// How much brighter light has become in cells, and light that is multiplied by it. The specification is ops/relit.py; CELL, DARKER,
-// FROM, WHOLE and MOST are those of constants.py. Of squares of cells there are two sizes: 4 × 4 and 2 × 2.
+// How much brighter light has become in cells, and light that is multiplied by it. The specification is ops/relit.py; CELL,
+// ROUNDING, DARKER, FROM, WHOLE and MOST are those of constants.py. Of squares of cells there are two sizes: 4 × 4 and 2 × 2.
 #include "common.h"
 #include "cells.h"
 
@@ -54,7 +54,11 @@ static inline void brighter(const float *quarters, float *g, int row, int column
             for (int x = left; x < right; x++) square += share * (then[x] - light[x]) * (share * (then[x] - light[x]));
         }
     float apart = 0;
-    for (int c = 0; c < 3; c++) apart += share * (sum[c] - sum[3 + c]) * (share * (sum[c] - sum[3 + c]));
+    for (int c = 0; c < 3; c++) {
+        float d = share * (sum[c] - sum[3 + c]), least = (float)ROUNDING * share * sum[c];
+        apart += d * d;
+        square += least * least;
+    }
     float q = apart / MAX(square, 1e-30f);
     if (sum[3] + sum[4] + sum[5] < sum[0] + sum[1] + sum[2]) q /= (float)DARKER;
     float sure = MIN(MAX((q - (float)FROM) / ((float)WHOLE - (float)FROM), 0), 1);

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...constants import RELIT_CELL, RELIT_DARKER, RELIT_FROM, RELIT_MOST, RELIT_WHOLE
+from ...constants import RELIT_CELL, RELIT_DARKER, RELIT_FROM, RELIT_MOST, RELIT_ROUNDING, RELIT_WHOLE
 from .compiler import library, pointer
 
 SUMS = 6  # as in relit.c
@@ -30,4 +30,4 @@ def relit_(image: Tensor, gain: Tensor) -> Tensor:
 
 def _library():
     bounds = {"DARKER": RELIT_DARKER, "FROM": RELIT_FROM, "WHOLE": RELIT_WHOLE, "MOST": RELIT_MOST}
-    return library("relit", CELL=RELIT_CELL, **bounds)
+    return library("relit", CELL=RELIT_CELL, ROUNDING=RELIT_ROUNDING, **bounds)

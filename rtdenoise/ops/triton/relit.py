@@ -6,7 +6,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from ...constants import RELIT_CELL, RELIT_DARKER, RELIT_FROM, RELIT_MOST, RELIT_SIDES, RELIT_WHOLE
+from ...constants import RELIT_CELL, RELIT_DARKER, RELIT_FROM, RELIT_MOST, RELIT_ROUNDING, RELIT_SIDES, RELIT_WHOLE
 from .cells import between
 from .common import BLOCK, grid, place
 
@@ -54,7 +54,7 @@ def _sum_quarters(cells, first, out, h, w, FIRST: tl.constexpr, HALF: tl.constex
 
 
 @triton.jit
-def _brighter(quarters, gains, h, w, darker, start, whole, most, BLOCK: tl.constexpr):
+def _brighter(quarters, gains, h, w, rounding, darker, start, whole, most, BLOCK: tl.constexpr):
     """g of squares, [B, 3, m, n], from the sums of their quarters, [B, SUMS, h, w]."""
     m, n = tl.cdiv(h, 2), tl.cdiv(w, 2)
     b, i, j, exists = place(m, n, BLOCK)
@@ -81,6 +81,8 @@ def _brighter(quarters, gains, h, w, darker, start, whole, most, BLOCK: tl.const
             d = tl.load(at, mask=inside, other=0.0) - tl.load(at + 3 * size, mask=inside, other=0.0)
             noise += share * d * (share * d)
     u, v, t = share * (r - r_now), share * (g - g_now), share * (a - a_now)
+    least = rounding * share
+    noise += least * r * (least * r) + least * g * (least * g) + least * a * (least * a)
     q = (u * u + v * v + t * t) / tl.maximum(noise, 1e-30)
     q = tl.where(r_now + g_now + a_now < r + g + a, q / darker, q)
     sure = (q - start) / (whole - start)
@@ -132,7 +134,7 @@ def gain(before: Tensor, now: Tensor, found: Tensor) -> Tensor:
         _sum_quarters[grid(SUMS * B, m, n)](cells, first, quarters, h, w, **kinds)
         squares = triton.cdiv(m, 2), triton.cdiv(n, 2)
         gains.append(now.new_empty(B, 3, *squares))
-        bounds = RELIT_DARKER, RELIT_FROM, RELIT_WHOLE, RELIT_MOST
+        bounds = RELIT_ROUNDING, RELIT_DARKER, RELIT_FROM, RELIT_WHOLE, RELIT_MOST
         _brighter[grid(B, *squares)](quarters, gains[-1], m, n, *bounds, BLOCK=BLOCK)
     _gain[grid(3 * B, h, w)](*gains, out, h, w, CELLS=RELIT_SIDES[0], BLOCK=BLOCK)
     return out
