@@ -94,13 +94,15 @@ def _relit(past: Past, frame: Frame, noisy: Tensor) -> Past:
     single frame has too few of the rarest bright samples, and would darken it."""
     brighter = gain(past.light, noisy, past.length > 0)
     past = replace(past, light=relit_(past.light, brighter))
-    if past.footprint is None:
-        now = modulate(past.light, frame.albedo, frame.albedo, past.length, frame.depth)
-        known = past.length > 0
-    else:
+    if past.footprint is not None:
         past = replace(past, footprint=relit_(past.footprint, brighter))
-        now, known = past.footprint[:, :3], past.footprint_count > 0
-    return replace(past, output=relit_(past.output, gain(past.output, now, past.held & known)))
+    if past.output is frame.radiance:  # there is no previous one
+        return past
+    if past.footprint is None:
+        now, known = modulate(past.light, frame.albedo, frame.albedo, past.length, frame.depth), past.length
+    else:
+        now, known = past.footprint[:, :3], past.footprint_count
+    return replace(past, output=relit_(past.output, gain(past.output, now, past.held & (known > 0))))
 
 
 def nearest(history: History, known: Known) -> History:
