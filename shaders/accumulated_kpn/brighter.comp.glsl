@@ -9,7 +9,7 @@
 #pragma constants FIRST SIDE RELIT_ROUNDING RELIT_DARKER RELIT_FROM RELIT_WHOLE RELIT_MOST
 #pragma parameters ivec2 extent
 #include "image.glsl"
-#include "gain.glsl"
+#include "cells.glsl"
 
 #pragma reads vec4 cells   // [2, extent] sums of before, of now
 #pragma reads vec4 first   // squares of 2 SIDE × 2 SIDE cells, likewise; not with FIRST

@@ -3,7 +3,7 @@
 // are (ops.relit).
 #pragma constants PICTURE SEEN RELIT_CELL
 #include "image.glsl"
-#include "gain.glsl"
+#include "cells.glsl"
 
 #pragma reads vec4 first, vec4 second    // of `brighter`: g of squares of 4 × 4 cells, and of 2 × 2
 #pragma changes vec4 running, vec4 past  // [H, W] rgb, and what stays

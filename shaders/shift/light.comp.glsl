@@ -1,6 +1,6 @@
 #version 430
 // The shift of light without noise (shift.light.light_shift), around even light with an edge; elsewhere what `told` wrote stays.
-#pragma constants SHIFT_BLOCK SHIFT_LEAST SHIFT_GREATEST SHIFT_BESIDE DEPTH_TOLERANCE
+#pragma constants CELL SHIFT_BLOCK SHIFT_LEAST SHIFT_GREATEST SHIFT_BESIDE DEPTH_TOLERANCE
 #include "image.glsl"
 
 #pragma reads vec4 shift    // [⌈H/CELL⌉, ⌈W/CELL⌉] of `solve`
@@ -10,12 +10,9 @@
 #pragma reads vec4 surface  // [H, W] normal, depth
 #pragma changes vec4 moved  // [H, W] pixels
 
-ivec2 cells;
-
-vec2 cell_value(ivec2 cell) {
-    return shift[at(cell, cells)].xy;
-}
 #include "cells.glsl"
+
+SPREAD(spread, shift, CELL)
 
 // Whether a pixel lies on a surface of the blocks that count around it.
 bool beside(ivec2 pixel, float depth) {
@@ -35,8 +32,7 @@ void main() {
     ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);
     if (!inside(pixel, size) || edges[0] == 0u) return;
 
-    cells = (size + CELL - 1) / CELL;
-    vec2 found = spread(pixel, cells);
+    vec2 found = spread(pixel, size).xy;
     float squared = dot(found, found);
     if (squared <= SHIFT_LEAST * SHIFT_LEAST || squared >= SHIFT_GREATEST * SHIFT_GREATEST) return;
     int i = at(pixel, size);

@@ -1,7 +1,7 @@
 #version 430
 // Sums over cells of CELL² pixels (shift.displacement.displacement_sums): every SHIFT_STRIDE-th pixel along either axis, looked up
 // where motion and `shift` lead. One work group per cell; the FIRST round has no shift yet.
-#pragma constants FIRST SHIFT_STRIDE DEPTH_TOLERANCE SHIFT_BLOCK CUBIC
+#pragma constants CELL FIRST SHIFT_STRIDE DEPTH_TOLERANCE SHIFT_BLOCK CUBIC
 #include "image.glsl"
 #include "on_screen.glsl"
 
@@ -13,12 +13,9 @@
 #pragma reads vec4 shift    // [⌈H/CELL⌉, ⌈W/CELL⌉] pixels
 #pragma writes vec4 sums    // [2, ⌈H/CELL⌉, ⌈W/CELL⌉] w, g_x², g_x g_y, g_y² · g_x e, g_y e, e², 0
 
-ivec2 cells;
-
-vec2 cell_value(ivec2 cell) {
-    return shift[at(cell, cells)].xy;
-}
 #include "cells.glsl"
+
+SPREAD(spread, shift, CELL)
 
 #define TYPE vec4
 vec4 value(ivec2 pixel) {
@@ -31,12 +28,11 @@ shared vec4 first[GROUP_X * GROUP_Y], second[GROUP_X * GROUP_Y];
 void main() {
     int lane = int(gl_LocalInvocationIndex);
     ivec2 cell = ivec2(gl_WorkGroupID.xy), pixel = cell * CELL + SHIFT_STRIDE * ivec2(gl_LocalInvocationID.xy);
-    cells = (size + CELL - 1) / CELL;
     first[lane] = second[lane] = vec4(0.0);
     if (inside(pixel, size)) {
         int i = at(pixel, size);
         vec2 target = vec2(pixel) + vectors[i].xy;
-        if (FIRST == 0) target += spread(pixel, cells);
+        if (FIRST == 0) target += spread(pixel, size).xy;
         float weight = near[at(pixel / SHIFT_BLOCK, (size + SHIFT_BLOCK - 1) / SHIFT_BLOCK)], depth = surface[i].w;
         vec4 there = look_up(clamp(target, vec2(0.0), vec2(size - 1)));
         if (on_screen(target) && abs(depth - there.w) <= DEPTH_TOLERANCE * max(depth, there.w)) {
@@ -53,6 +49,7 @@ void main() {
         }
     }
     if (lane == 0) {
+        ivec2 cells = (size + CELL - 1) / CELL;
         sums[at(cell, cells)] = first[0];
         sums[at(cell, cells) + cells.x * cells.y] = second[0];
     }
